@@ -121,13 +121,13 @@ impl HandCommand {
     /// Does it, or begins with it.
     pub fn apply(self, world: &mut World) {
         match self {
-            Self::Move(motion) => world.car_mut().begin_by_hand(motion),
-            Self::Esc(on) => world.car_mut().set_esc_power(on),
-            Self::Battery(on) => world.car_mut().set_battery_plugged(on),
+            Self::Move(motion) => world.car.begin_by_hand(motion),
+            Self::Esc(on) => world.car.set_esc_power(on),
+            Self::Battery(on) => world.car.set_battery_plugged(on),
             Self::Cable(on) => world.set_cable(on),
-            Self::StopSwitch(open) => world.board_mut().set_stop_input_open(open),
+            Self::StopSwitch(open) => world.board.set_stop_input_open(open),
             Self::Markers(covered) => {
-                world.cameras_mut().faults_mut().loss = covered.then_some(LossKind::Occluded);
+                world.cameras.faults.loss = covered.then_some(LossKind::Occluded);
             }
             Self::Reset => world.press_reset(),
             Self::Look => {}
@@ -230,9 +230,8 @@ pub struct Seen {
 
 impl Seen {
     /// What is seen now.
-    #[must_use]
     pub fn of(world: &World) -> Self {
-        let (truth, car) = (world.truth(), world.car());
+        let (truth, car) = (world.truth(), &world.car);
         Self {
             steering_deg: truth.steering.to_degrees(),
             wheels_m_s: truth.wheel_speed,

@@ -20,7 +20,6 @@ impl SkewedClock {
     /// `skew_ppm` microseconds a second.
     ///
     /// The skew is limited to ± 100,000 ppm.
-    #[must_use]
     pub fn new(offset_us: u64, skew_ppm: i32) -> Self {
         Self {
             offset_us,
@@ -33,7 +32,6 @@ impl SkewedClock {
     }
 
     /// Reading of the clock at a simulation time, in µs.
-    #[must_use]
     pub fn at(&self, simulation_us: u64) -> u64 {
         let whole = simulation_us / MILLION * self.rate();
         let part = simulation_us % MILLION * self.rate() / MILLION;
@@ -42,7 +40,6 @@ impl SkewedClock {
 
     /// The first simulation time at which the clock has advanced by `elapsed_us` of
     /// its own microseconds since simulation time zero.
-    #[must_use]
     pub fn when_elapsed(&self, elapsed_us: u64) -> u64 {
         let rate = self.rate();
         let whole = elapsed_us / rate * MILLION;
@@ -51,7 +48,6 @@ impl SkewedClock {
     }
 
     /// Cycles of the clock's oscillator since simulation time zero.
-    #[must_use]
     pub(crate) fn cycle_at(&self, simulation_us: u64) -> u64 {
         let rate = self.rate() * CYCLES_PER_US;
         simulation_us / MILLION * rate + simulation_us % MILLION * rate / MILLION
@@ -59,7 +55,6 @@ impl SkewedClock {
 
     /// The first simulation time, in µs, at which the oscillator has reached a
     /// cycle.
-    #[must_use]
     pub(crate) fn when_cycle(&self, cycle: u64) -> u64 {
         let rate = self.rate() * CYCLES_PER_US;
         cycle / rate * MILLION + (cycle % rate * MILLION).div_ceil(rate)

@@ -12,7 +12,8 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct Floor {
     cars: Vec<FloorCar>,
-    nearest_m: f64,
+    /// The least distance between two bodies so far, in m; negative if they have overlapped.
+    pub nearest_m: f64,
 }
 
 #[derive(Clone, Debug)]
@@ -89,12 +90,6 @@ impl Floor {
             car.seen = seen;
         }
     }
-
-    /// The least distance between two bodies so far, in m; negative if they have overlapped.
-    #[must_use]
-    pub const fn nearest_m(&self) -> f64 {
-        self.nearest_m
-    }
 }
 
 /// In the floor's frame, in m/s.
@@ -142,7 +137,7 @@ mod tests {
     fn the_gap_between_two_bodies_is_that_of_their_rectangles() {
         let mut floor = Floor::new([[0.2, 0.1]; 2]);
         assert!(!floor.place(0, 0, at(0.0, 0.0, 0.0)));
-        assert_eq!(floor.nearest_m(), f64::INFINITY);
+        assert_eq!(floor.nearest_m, f64::INFINITY);
         for (truth, gap) in [
             (at(1.0, 0.0, 0.0), 0.6),
             (at(1.0, 0.0, core::f64::consts::FRAC_PI_2), 0.7),
@@ -151,7 +146,7 @@ mod tests {
         ] {
             let mut floor = floor.clone();
             assert!(!floor.place(1, 0, truth), "it stands");
-            assert!((floor.nearest_m() - gap).abs() < 1e-12, "{truth:?}");
+            assert!((floor.nearest_m - gap).abs() < 1e-12, "{truth:?}");
         }
     }
 

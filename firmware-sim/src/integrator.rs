@@ -115,7 +115,6 @@ type State<D, const N: usize> = [D; N];
 
 impl Integrator {
     /// An integrator whose first step is 1 ms.
-    #[must_use]
     pub const fn new() -> Self {
         Self { step: 1e-3 }
     }

@@ -14,7 +14,7 @@
 //!     world.advance_to(tick * 10_000);
 //!     world.host_read(&mut bytes); // frames of singletrack-protocol
 //!     while let Some(frame) = world.poll_camera_frame() {
-//!         assert!(frame.sent_us <= world.now_us());
+//!         assert!(frame.sent_us <= world.now_us);
 //!     }
 //! }
 //! assert!(!bytes.is_empty());

@@ -10,8 +10,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// The text form is `DURATION@INTERVAL`, for example `200ms@2s`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LossPattern {
-    duration_us: u64,
-    interval_us: u64,
+    /// Duration of a loss, in µs.
+    pub duration_us: u64,
+    /// Time between the starts of two losses, in µs.
+    pub interval_us: u64,
 }
 
 /// Error while parsing a loss pattern.
@@ -79,20 +81,7 @@ impl LossPattern {
         })
     }
 
-    /// Duration of a loss, in µs.
-    #[must_use]
-    pub const fn duration_us(&self) -> u64 {
-        self.duration_us
-    }
-
-    /// Time between the starts of two losses, in µs.
-    #[must_use]
-    pub const fn interval_us(&self) -> u64 {
-        self.interval_us
-    }
-
     /// Whether the markers are lost this long after the pattern's epoch, in µs.
-    #[must_use]
     pub const fn is_lost(&self, since_epoch_us: u64) -> bool {
         since_epoch_us >= self.interval_us && since_epoch_us % self.interval_us < self.duration_us
     }
@@ -190,7 +179,6 @@ pub struct LossWindow {
 
 impl LossWindow {
     /// Whether the markers are lost this long after the schedule's epoch, in µs.
-    #[must_use]
     pub const fn is_lost(&self, since_epoch_us: u64) -> bool {
         self.start_us <= since_epoch_us && since_epoch_us < self.end_us
     }

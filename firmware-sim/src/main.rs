@@ -60,13 +60,13 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         let _ = std::fs::remove_file(path);
     }
     let finished = simulator.stop()?;
-    let failure = failure.or_else(|| finished.world.board().failure().map(str::to_owned));
+    let failure = failure.or_else(|| finished.world.board.failure().map(str::to_owned));
     if let Some(failure) = failure {
         return Err(format!("the board failed: {failure}").into());
     }
     if !arguments.quiet {
         let truth = finished.world.truth();
-        let cameras = finished.world.cameras().counters();
+        let cameras = finished.world.cameras.counters;
         println!(
             "stopped after {:.1} s at x {:.3} m, y {:.3} m, yaw {:.1} degrees; \
              {} camera frames, {} without the car",
@@ -88,7 +88,7 @@ const FAILURE_PERIOD: Duration = Duration::from_millis(100);
 async fn board_failure(simulator: &RealTimeSimulator) -> Result<String, RealTimeError> {
     loop {
         tokio::time::sleep(FAILURE_PERIOD).await;
-        let failure = simulator.with_world(|world| world.board().failure().map(str::to_owned))?;
+        let failure = simulator.with_world(|world| world.board.failure().map(str::to_owned))?;
         if let Some(failure) = failure {
             return Ok(failure);
         }
@@ -102,13 +102,13 @@ fn introduce(
     body: &str,
     simulator: &RealTimeSimulator,
 ) {
-    let address = simulator.command_address();
+    let address = simulator.command_address;
     let up_axis = up_axis.to_uppercase();
-    println!("serial port  {}", simulator.pty_path().display());
+    println!("serial port  {}", simulator.pty_path.display());
     match kind {
         ServerKind::NatNet => println!(
             "NatNet       {address} (commands), {} (frames), bitstream {}, {}, {up_axis} up",
-            simulator.data_address(),
+            simulator.data_address,
             natnet.bitstream,
             if natnet.multicast {
                 "multicast"
@@ -165,7 +165,7 @@ async fn attend(simulator: &RealTimeSimulator, mut stream: UnixStream) -> io::Re
                     .map_err(gone)?;
                 loop {
                     let (busy, text) = simulator
-                        .with_world(|world| (world.car().is_in_motion_by_hand(), Seen::of(world)))
+                        .with_world(|world| (world.car.is_in_motion_by_hand(), Seen::of(world)))
                         .map_err(gone)?;
                     if !busy {
                         break format!("ok {text}\n");

@@ -135,17 +135,18 @@ const MAX_CLIENTS: usize = 16;
 /// The server side of NatNet.
 #[derive(Clone, Debug)]
 pub struct NatNetServer {
-    parameters: NatNetParameters,
+    /// The parameters.
+    pub parameters: NatNetParameters,
     data_port: u16,
     clients: Vec<Client>,
     models_changed: bool,
-    counters: NatNetCounters,
+    /// The counters so far.
+    pub counters: NatNetCounters,
     buffer: Vec<u8>,
 }
 
 impl NatNetServer {
     /// A server without clients.
-    #[must_use]
     pub fn new(parameters: NatNetParameters) -> Self {
         Self {
             parameters,
@@ -155,18 +156,6 @@ impl NatNetServer {
             counters: NatNetCounters::default(),
             buffer: vec![0; 8192],
         }
-    }
-
-    /// The parameters.
-    #[must_use]
-    pub const fn parameters(&self) -> &NatNetParameters {
-        &self.parameters
-    }
-
-    /// The counters so far.
-    #[must_use]
-    pub const fn counters(&self) -> NatNetCounters {
-        self.counters
     }
 
     /// Sets the data port that is reported to clients.

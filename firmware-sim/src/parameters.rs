@@ -77,7 +77,6 @@ impl SimulationConfig {
 
 /// The board's configuration for the default [`crate::CarParameters`], as from a
 /// calibration of that car.
-#[must_use]
 pub const fn default_board_configuration() -> Configuration {
     Configuration {
         servo: ServoCalibration {

@@ -70,7 +70,6 @@ impl Pty {
     }
 
     /// Path for the host: the link if there is one, else the device.
-    #[must_use]
     pub fn path(&self) -> &Path {
         self.link.as_deref().unwrap_or(&self.device)
     }

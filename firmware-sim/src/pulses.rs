@@ -45,7 +45,8 @@ impl PulseFilter for Unfiltered {
 #[derive(Clone, Debug, Default)]
 pub struct PulseLog {
     records: VecDeque<PulseRecord>,
-    total: u64,
+    /// Number of frames since the start, including those no longer kept.
+    pub total: u64,
 }
 
 impl PulseLog {
@@ -60,19 +61,12 @@ impl PulseLog {
         self.total += 1;
     }
 
-    /// Number of frames since the start, including those no longer kept.
-    #[must_use]
-    pub const fn total(&self) -> u64 {
-        self.total
-    }
-
     /// The frames, oldest first.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = &PulseRecord> {
         self.records.iter()
     }
 
     /// The last frame.
-    #[must_use]
     pub fn last(&self) -> Option<&PulseRecord> {
         self.records.back()
     }
@@ -80,7 +74,6 @@ impl PulseLog {
     /// The first frame at or after `time_us` from which on all ESC pulses are
     /// absent or within `tolerance_us` of neutral. Pulses that a reset cut below
     /// neutral are ignored.
-    #[must_use]
     pub fn neutral_from(
         &self,
         time_us: u64,
@@ -120,7 +113,9 @@ pub(super) struct Frames {
     open: Option<Frame>,
     /// Start of the previous frame.
     last: Option<u64>,
-    jitter: u64,
+    /// Largest deviation of a frame from one period after the previous one, in
+    /// cycles.
+    pub(super) jitter: u64,
 }
 
 impl Frames {
@@ -162,12 +157,6 @@ impl Frames {
             .is_some_and(|frame| cycle > frame.start + FRAME_TIMEOUT)
             .then(|| self.finish())
             .flatten()
-    }
-
-    /// Largest deviation of a frame from one period after the previous one, in
-    /// cycles.
-    pub(super) const fn jitter(&self) -> u64 {
-        self.jitter
     }
 
     /// The processor is held in reset: the frame in progress ends, and the grid
@@ -284,7 +273,7 @@ mod tests {
             widths(&mut frames, &pulses),
             [(1_400, 1_500), (1_600, 1_500)]
         );
-        assert_eq!(frames.jitter(), 0);
+        assert_eq!(frames.jitter, 0);
     }
 
     #[test]
@@ -305,7 +294,7 @@ mod tests {
             widths(&mut frames, &pulses),
             [(0, 1_500), (0, 300), (0, 1_100), (0, 1)]
         );
-        assert!(frames.jitter() > 0);
+        assert!(frames.jitter > 0);
     }
 
     #[test]
@@ -316,10 +305,10 @@ mod tests {
             pulse(Pin::Esc, PERIOD + 5, 1_500),
         ];
         widths(&mut frames, &late);
-        assert_eq!(frames.jitter(), 5);
+        assert_eq!(frames.jitter, 5);
         assert_eq!(frames.cut_off(), None);
         widths(&mut frames, &[pulse(Pin::Esc, 9 * PERIOD, 1_500)]);
-        assert_eq!(frames.jitter(), 5);
+        assert_eq!(frames.jitter, 5);
     }
     #[test]
     fn a_frame_cut_by_a_reset_is_kept_and_adds_no_jitter() {
@@ -338,6 +327,6 @@ mod tests {
         assert_eq!(frames.cut_off(), Some(cut));
         // The next grid is independent.
         widths(&mut frames, &[pulse(Pin::Esc, 9 * PERIOD + 77, 1_500)]);
-        assert_eq!(frames.jitter(), 0);
+        assert_eq!(frames.jitter, 0);
     }
 }

@@ -4,7 +4,7 @@ use std::{
     collections::VecDeque,
     io,
     net::SocketAddrV4,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
@@ -134,10 +134,15 @@ pub struct RealTimeSimulator {
     requests: mpsc::Sender<Request>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<Finished>>,
-    pty_path: PathBuf,
-    command_address: SocketAddrV4,
-    data_address: SocketAddrV4,
-    started_ns: u64,
+    /// Path of the board's serial port: the link if configured, else the device
+    /// (which changes with [`plug`](Self::plug)).
+    pub pty_path: PathBuf,
+    /// Command address of the NatNet server, or the address of another one on TCP.
+    pub command_address: SocketAddrV4,
+    /// Source address of the frames; its port is also the multicast port.
+    pub data_address: SocketAddrV4,
+    /// `CLOCK_MONOTONIC` at simulation time zero, in ns.
+    pub started_ns: u64,
 }
 
 impl RealTimeSimulator {
@@ -184,31 +189,6 @@ impl RealTimeSimulator {
         })
     }
 
-    /// Path of the board's serial port: the link if configured, else the device
-    /// (which changes with [`plug`](Self::plug)).
-    #[must_use]
-    pub fn pty_path(&self) -> &Path {
-        &self.pty_path
-    }
-
-    /// Command address of the NatNet server, or the address of another one on TCP.
-    #[must_use]
-    pub const fn command_address(&self) -> SocketAddrV4 {
-        self.command_address
-    }
-
-    /// Source address of the frames; its port is also the multicast port.
-    #[must_use]
-    pub const fn data_address(&self) -> SocketAddrV4 {
-        self.data_address
-    }
-
-    /// `CLOCK_MONOTONIC` at simulation time zero, in ns.
-    #[must_use]
-    pub const fn started_ns(&self) -> u64 {
-        self.started_ns
-    }
-
     /// Calls a function with the world on the simulator's thread, within the next
     /// millisecond, and returns its result.
     ///
@@ -238,15 +218,6 @@ impl RealTimeSimulator {
     /// [`RealTimeError::Stopped`].
     pub fn counters(&self) -> Result<RealTimeCounters, RealTimeError> {
         self.with_machine(|machine| machine.counters)
-    }
-
-    /// Returns the trajectory recorded since the last call, oldest first.
-    ///
-    /// # Errors
-    ///
-    /// [`RealTimeError::Stopped`].
-    pub fn take_trajectory(&self) -> Result<Vec<TimedTruth>, RealTimeError> {
-        self.with_machine(|machine| core::mem::take(&mut machine.trajectory).into())
     }
 
     /// Pulls the USB cable: the host sees a hang-up, the link is removed, and the board loses
@@ -359,11 +330,9 @@ impl Sockets {
         let (interface, port) = (config.interface, config.command_port);
         Ok(match kind {
             ServerKind::NatNet => {
-                let natnet = *world.natnet().parameters();
+                let natnet = world.natnet.parameters;
                 let sockets = NatNetSockets::bind(config, natnet.group, natnet.sends_from)?;
-                world
-                    .natnet_mut()
-                    .set_data_port(sockets.data_address().port());
+                world.natnet.set_data_port(sockets.data_address.port());
                 Self::NatNet(sockets)
             }
             ServerKind::Vrpn => Self::Stream(Box::new(StreamServers::vrpn(interface, port)?)),
@@ -374,8 +343,8 @@ impl Sockets {
     /// Where commands are taken, and where frames come from.
     fn addresses(&self) -> (SocketAddrV4, SocketAddrV4) {
         match self {
-            Self::NatNet(sockets) => (sockets.command_address(), sockets.data_address()),
-            Self::Stream(servers) => (servers.address(), servers.address()),
+            Self::NatNet(sockets) => (sockets.command_address, sockets.data_address),
+            Self::Stream(servers) => (servers.address, servers.address),
         }
     }
 }
@@ -435,10 +404,10 @@ impl Machine {
             let truth = self.world.truth();
             let mut floor = floor.lock().unwrap_or_else(PoisonError::into_inner);
             if floor.place(*index, started_us, truth) {
-                self.world.car_mut().collide();
+                self.world.car.collide();
             }
             let decoys = floor.decoys(*index, started_us);
-            self.world.cameras_mut().move_decoys(decoys);
+            self.world.cameras.move_decoys(decoys);
         }
     }
 
@@ -447,7 +416,7 @@ impl Machine {
             return;
         };
         // While the line is stuck, the host's writes stay in its driver.
-        if !self.world.wire().faults().stuck {
+        if !self.world.wire.faults.stuck {
             let mut buffer = [0; 1024];
             while let Ok(count @ 1..) = pty.read(&mut buffer) {
                 if let Some(bytes) = buffer.get(..count) {
@@ -474,7 +443,7 @@ impl Machine {
                 let mut buffer = [0; 2048];
                 while let Some((length, from)) = sockets.receive(&mut buffer) {
                     if let Some(datagram) = buffer.get(..length) {
-                        let now_us = now_us().max(self.world.now_us());
+                        let now_us = now_us().max(self.world.now_us);
                         self.world.handle_datagram_at(now_us, from, datagram);
                     }
                 }
@@ -485,12 +454,12 @@ impl Machine {
                 }
             }
             Sockets::Stream(servers) => {
-                let cameras = self.world.cameras();
-                let behind_us = self.world.now_us();
-                let clock = || cameras.clock().at(now_us().max(behind_us));
-                servers.serve(&clock, cameras.parameters());
+                let cameras = &self.world.cameras;
+                let behind_us = self.world.now_us;
+                let clock = || cameras.clock.at(now_us().max(behind_us));
+                servers.serve(&clock, &cameras.parameters);
                 while let Some(frame) = self.world.poll_camera_frame() {
-                    let cameras = self.world.cameras().parameters();
+                    let cameras = &self.world.cameras.parameters;
                     self.counters.datagrams_lost += servers.frame(cameras, &frame);
                 }
             }

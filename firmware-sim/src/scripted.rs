@@ -67,14 +67,12 @@ impl ScriptedHost {
     }
 
     /// Board time of the newest telemetry, in µs; zero before the first.
-    #[must_use]
     pub fn telemetry_time_us(&self) -> u32 {
         self.telemetry
             .map_or(0, |telemetry| telemetry.board_time_us)
     }
 
     /// The board's last reported mode.
-    #[must_use]
     pub fn mode(&self) -> Option<BoardMode> {
         self.telemetry.map(|telemetry| telemetry.mode)
     }
@@ -144,7 +142,7 @@ impl ScriptedDrive {
 
     /// Advances time by whole milliseconds while the host receives.
     pub fn run_ms(&mut self, ms: u64) {
-        let start = self.world.now_us();
+        let start = self.world.now_us;
         for i in 1..=ms {
             self.world.advance_to(start + i * 1_000);
             self.listen();

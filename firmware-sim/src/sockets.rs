@@ -72,8 +72,8 @@ impl UdpError {
 pub(crate) struct NatNetSockets {
     command: UdpSocket,
     data: UdpSocket,
-    command_address: SocketAddrV4,
-    data_address: SocketAddrV4,
+    pub(crate) command_address: SocketAddrV4,
+    pub(crate) data_address: SocketAddrV4,
     group: SocketAddrV4,
     /// The second network card, which only sends.
     second: Option<UdpSocket>,
@@ -100,14 +100,6 @@ impl NatNetSockets {
             data_address,
             group: SocketAddrV4::new(group, data_address.port()),
         })
-    }
-
-    pub(crate) const fn command_address(&self) -> SocketAddrV4 {
-        self.command_address
-    }
-
-    pub(crate) const fn data_address(&self) -> SocketAddrV4 {
-        self.data_address
     }
 
     /// The next received datagram.

@@ -24,7 +24,7 @@ enum Protocol {
 pub(crate) struct StreamServers {
     protocol: Protocol,
     udp: UdpSocket,
-    address: SocketAddrV4,
+    pub(crate) address: SocketAddrV4,
 }
 
 impl StreamServers {
@@ -58,10 +58,6 @@ impl StreamServers {
             udp: bind(SocketAddrV4::new(interface, 0), "QTM's frames on UDP")?,
             address,
         })
-    }
-
-    pub(crate) const fn address(&self) -> SocketAddrV4 {
-        self.address
     }
 
     /// Serves what has arrived; `clock` is the server's, in µs.

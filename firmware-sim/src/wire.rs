@@ -16,7 +16,7 @@ section! {
 
     /// Bits per second; a byte takes ten (8N1).
     baud: u32 = 115_200, in in_words("300 or more", |x| x >= 300.0);
-    /// Initial faults; [`SerialWire::faults_mut`] changes them later.
+    /// Initial faults; [`SerialWire::faults`] are those in force.
     faults: WireFaults = WireFaults::default();
 }
 
@@ -117,7 +117,8 @@ impl Direction {
 #[derive(Clone, Debug)]
 pub struct SerialWire {
     byte_ps: u64,
-    faults: WireFaults,
+    /// The present faults.
+    pub faults: WireFaults,
     connected: bool,
     to_board: Direction,
     to_host: Direction,
@@ -127,7 +128,6 @@ pub struct SerialWire {
 
 impl SerialWire {
     /// An idle line.
-    #[must_use]
     pub fn new(parameters: &WireParameters, seed: u64) -> Self {
         Self {
             byte_ps: 10 * 1_000_000 * PS_PER_US / u64::from(parameters.baud.max(1)),
@@ -139,19 +139,7 @@ impl SerialWire {
         }
     }
 
-    /// The present faults.
-    #[must_use]
-    pub const fn faults(&self) -> &WireFaults {
-        &self.faults
-    }
-
-    /// Mutable access to the faults.
-    pub const fn faults_mut(&mut self) -> &mut WireFaults {
-        &mut self.faults
-    }
-
     /// Whether both ends are plugged in.
-    #[must_use]
     pub const fn is_connected(&self) -> bool {
         self.connected
     }
@@ -183,7 +171,6 @@ impl SerialWire {
     }
 
     /// Number of bytes from the host that have not reached the board.
-    #[must_use]
     pub fn bytes_to_board(&self) -> usize {
         self.held.len() + self.to_board.under_way.len()
     }
@@ -330,7 +317,7 @@ mod tests {
         assert_eq!(board_reads(&mut wire, 1_000_000), []);
         assert_eq!(host_reads(&mut wire, 1_000_000), []);
         assert_eq!(wire.bytes_to_board(), 1000);
-        wire.faults_mut().stuck = false;
+        wire.faults.stuck = false;
         assert_eq!(host_reads(&mut wire, 1_000_000).len(), 1000);
         assert_eq!(board_reads(&mut wire, 1_000_000), []);
         assert_eq!(board_reads(&mut wire, 1_010_000).len(), 115);
@@ -344,7 +331,7 @@ mod tests {
             ..WireFaults::default()
         });
         wire.host_write(0, &[1]);
-        wire.faults_mut().delay_us = 0;
+        wire.faults.delay_us = 0;
         wire.host_write(1_000, &[2]);
         assert_eq!(board_reads(&mut wire, 50_000), []);
         assert_eq!(board_reads(&mut wire, 50_087), [1, 2]);

@@ -25,9 +25,10 @@ use crate::{
 /// calls of `advance_to` in between.
 #[derive(Debug)]
 pub struct World {
-    now_us: u64,
+    /// The present time, in µs.
+    pub now_us: u64,
     /// The car at the last event of the board or of a sensor.
-    car: Car,
+    pub car: Car,
     imu: Imu,
     imu_samples: u64,
     imu_fault: ImuFault,
@@ -37,17 +38,22 @@ pub struct World {
     imu_supply: ImuSupply,
     /// Samples in transit to the board with their arrival times.
     imu_pending: VecDeque<(u64, ImuReading)>,
-    board: SimulatedBoard,
+    /// The board.
+    pub board: SimulatedBoard,
     /// The USB cable is plugged in.
     plugged: bool,
     /// The board's power is switched on, whatever it comes from.
     switched_on: bool,
-    wire: SerialWire,
-    cameras: Cameras,
-    natnet: NatNetServer,
+    /// The serial line.
+    pub wire: SerialWire,
+    /// The cameras.
+    pub cameras: Cameras,
+    /// The NatNet server.
+    pub natnet: NatNetServer,
     datagrams: VecDeque<Datagram>,
     frames: VecDeque<CameraFrame>,
-    config: SimulationConfig,
+    /// The configuration.
+    pub config: SimulationConfig,
 }
 
 /// The supply of the IMU.
@@ -96,18 +102,6 @@ impl World {
         })
     }
 
-    /// The configuration.
-    #[must_use]
-    pub const fn config(&self) -> &SimulationConfig {
-        &self.config
-    }
-
-    /// The present time, in µs.
-    #[must_use]
-    pub const fn now_us(&self) -> u64 {
-        self.now_us
-    }
-
     /// Advances to `until_us`, including the events at that time. An earlier time
     /// has no effect.
     pub fn advance_to(&mut self, until_us: u64) {
@@ -130,7 +124,7 @@ impl World {
     fn next_event_us(&self) -> u64 {
         let mut next = self
             .next_imu_us()
-            .min(self.cameras.next_exposure_us())
+            .min(self.cameras.next_exposure_us)
             .min(self.board.next_event_us());
         if let Some((arrival, _)) = self.imu_pending.front() {
             next = next.min(*arrival);
@@ -150,7 +144,7 @@ impl World {
     fn events_at(&mut self, now_us: u64, filter: &mut dyn PulseFilter) {
         let board_is_due = self.board.next_event_us() <= now_us;
         let imu_is_due = self.next_imu_us() <= now_us;
-        let exposure_is_due = self.cameras.next_exposure_us() <= now_us;
+        let exposure_is_due = self.cameras.next_exposure_us <= now_us;
         if board_is_due || imu_is_due || exposure_is_due {
             self.car.advance_to(now_us);
         }
@@ -254,7 +248,7 @@ impl World {
         let answer = self.natnet.handle_datagram(
             now_us,
             self.cameras.ticks(now_us),
-            self.cameras.parameters(),
+            &self.cameras.parameters,
             from,
             bytes,
         );
@@ -264,7 +258,6 @@ impl World {
     }
 
     /// Whether [`poll_datagram`](Self::poll_datagram) has one.
-    #[must_use]
     pub fn has_datagrams(&self) -> bool {
         !self.datagrams.is_empty()
     }
@@ -280,7 +273,6 @@ impl World {
     }
 
     /// Ground truth.
-    #[must_use]
     pub fn truth(&self) -> Truth {
         let mut car = self.car.clone();
         car.advance_to(self.now_us);
@@ -288,9 +280,8 @@ impl World {
     }
 
     /// Present bias of the gyroscope about the car's axes, in rad/s.
-    #[must_use]
     pub const fn gyro_bias_rad_s(&self) -> [f64; 3] {
-        self.imu.gyro_bias()
+        self.imu.gyro_bias
     }
 
     /// Sets the fault of the IMU.
@@ -304,24 +295,6 @@ impl World {
     pub const fn set_epoch(&mut self, epoch_us: Option<u64>) {
         self.car.set_epoch(epoch_us);
         self.cameras.set_epoch(epoch_us);
-    }
-
-    /// The car at the last event of the board or of a sensor.
-    #[must_use]
-    pub const fn car(&self) -> &Car {
-        &self.car
-    }
-
-    /// Mutable access to the car, at the last event of the board or of a sensor: a call that
-    /// changes nothing does not change a bit.
-    pub const fn car_mut(&mut self) -> &mut Car {
-        &mut self.car
-    }
-
-    /// The board.
-    #[must_use]
-    pub const fn board(&self) -> &SimulatedBoard {
-        &self.board
     }
 
     /// Resets the board; it restarts after its start-up time.
@@ -354,47 +327,9 @@ impl World {
         self.board.set_power(self.now_us, on, &mut self.car);
     }
 
-    /// Mutable access to the board.
-    pub const fn board_mut(&mut self) -> &mut SimulatedBoard {
-        &mut self.board
-    }
-
-    /// The serial line.
-    #[must_use]
-    pub const fn wire(&self) -> &SerialWire {
-        &self.wire
-    }
-
-    /// Mutable access to the serial line.
-    pub const fn wire_mut(&mut self) -> &mut SerialWire {
-        &mut self.wire
-    }
-
     /// Interrupts the serial line, or closes it again; the board keeps its power.
     pub fn set_wire_connected(&mut self, connected: bool) {
         self.wire.set_connected(self.now_us, connected);
-    }
-
-    /// The cameras.
-    #[must_use]
-    pub const fn cameras(&self) -> &Cameras {
-        &self.cameras
-    }
-
-    /// Mutable access to the cameras.
-    pub const fn cameras_mut(&mut self) -> &mut Cameras {
-        &mut self.cameras
-    }
-
-    /// The NatNet server.
-    #[must_use]
-    pub const fn natnet(&self) -> &NatNetServer {
-        &self.natnet
-    }
-
-    /// Mutable access to the NatNet server.
-    pub const fn natnet_mut(&mut self) -> &mut NatNetServer {
-        &mut self.natnet
     }
 
     /// Changes the streaming id of the car's rigid body, as an operator can; the
@@ -453,17 +388,17 @@ mod tests {
             world.advance_to(500_000);
             world.set_cable(false);
             world.advance_to(1_000_000);
-            assert_eq!(world.board().is_running(), own_supply);
-            let silent = world.board().pulses().last().unwrap().esc_us == 0;
+            assert_eq!(world.board.is_running(), own_supply);
+            let silent = world.board.pulses.last().unwrap().esc_us == 0;
             assert_eq!(silent, !own_supply);
             // A switch comes before either supply.
             world.set_board_power(false);
             world.set_cable(true);
             world.advance_to(1_500_000);
-            assert!(!world.board().is_running());
+            assert!(!world.board.is_running());
             world.set_board_power(true);
             world.advance_to(2_000_000);
-            assert!(world.board().is_running());
+            assert!(world.board.is_running());
         }
     }
 
@@ -477,7 +412,7 @@ mod tests {
         let mut samples = Vec::new();
         for ms in (0..3_000).step_by(10) {
             world.advance_to(ms * 1_000);
-            if let Some(telemetry) = world.board().telemetry() {
+            if let Some(telemetry) = world.board.telemetry() {
                 samples.push((ms, telemetry.imu != ImuState::Silent));
             }
         }

@@ -128,12 +128,12 @@ proptest! {
     ) {
         let mut world = World::new(SimulationConfig::default()).unwrap();
         for (later_us, bytes) in writes {
-            world.advance_to(world.now_us() + later_us);
+            world.advance_to(world.now_us + later_us);
             world.host_write(&bytes);
         }
-        let end = world.now_us() + 500_000;
+        let end = world.now_us + 500_000;
         world.advance_to(end);
-        prop_assert_eq!(world.now_us(), end);
+        prop_assert_eq!(world.now_us, end);
         prop_assert_eq!(world.truth().wheel_speed, 0.0);
         // Telemetry continues.
         let mut received = Vec::new();
@@ -149,7 +149,7 @@ proptest! {
             world.handle_datagram(from, datagram);
         }
         world.advance_to(100_000);
-        let counters = world.natnet().counters();
+        let counters = world.natnet.counters;
         prop_assert_eq!(counters.requests + counters.malformed, datagrams.len() as u64);
         prop_assert_eq!(counters.unencodable, 0);
     }

@@ -44,7 +44,7 @@ const CONNECT: ClientMessage<'_> = ClientMessage::Connect(Connect {
 });
 
 fn frames(world: &mut World, ms: u64) -> Vec<Vec<u8>> {
-    world.advance_to(world.now_us() + ms * 1_000);
+    world.advance_to(world.now_us + ms * 1_000);
     core::iter::from_fn(|| world.poll_datagram())
         .filter(|datagram| datagram.is_frame)
         .map(|datagram| datagram.bytes)
@@ -149,8 +149,8 @@ fn a_silent_unicast_client_is_dropped() {
     }
     // Five seconds after the last keep-alive.
     assert_eq!(frames(&mut world, 8_000).len(), 500);
-    assert_eq!(world.natnet().counters().expired, 1);
-    assert_eq!(world.natnet().clients().count(), 0);
+    assert_eq!(world.natnet.counters.expired, 1);
+    assert_eq!(world.natnet.clients().count(), 0);
     ask(&mut world, &CONNECT).unwrap();
     assert_eq!(frames(&mut world, 100).len(), 10);
     assert_eq!(ask(&mut world, &ClientMessage::Disconnect), None);
@@ -197,8 +197,8 @@ fn corrupted_requests_are_counted_and_answered_as_unrecognised() {
         let answer = world.poll_datagram().unwrap();
         assert_eq!(answer.bytes[..2], 100_u16.to_le_bytes());
     }
-    assert_eq!(world.natnet().counters().malformed, 5);
-    assert_eq!(world.natnet().clients().count(), 0);
+    assert_eq!(world.natnet.counters.malformed, 5);
+    assert_eq!(world.natnet.clients().count(), 0);
 }
 
 #[test]
@@ -242,7 +242,7 @@ fn every_kind_of_loss_has_its_form_on_the_wire() {
         let mut world = world(BitstreamVersion::V4_1);
         ask(&mut world, &CONNECT).unwrap();
         frames(&mut world, 50);
-        world.cameras_mut().faults_mut().loss = Some(kind);
+        world.cameras.faults.loss = Some(kind);
         // Frames in transit before the loss.
         frames(&mut world, 20);
         let frames = frames(&mut world, 100);

@@ -34,7 +34,7 @@ impl Bench {
     /// A car whose ESC has seen neutral for longer than it needs.
     fn armed(truth: &str) -> Self {
         let mut bench = Self::new(truth);
-        let neutral_us = bench.car.parameters().motor.neutral_us;
+        let neutral_us = bench.car.parameters.motor.neutral_us;
         // A second, and what learning takes.
         bench.drive(1.5, 1_500, neutral_us);
         assert!(bench.car.esc_is_armed());
@@ -214,14 +214,14 @@ fn without_pulses_each_kind_goes_on_for_its_own_time() {
         ("[esc]\nsignal_loss_ms = 500.0", 0.5),
     ] {
         let mut bench = Bench::armed(truth);
-        let loss_us = bench.car.parameters().motor.signal_loss_us;
+        let loss_us = bench.car.parameters.motor.signal_loss_us;
         assert_eq!(loss_us, (loss_s * 1e6) as u64, "{truth}");
         bench.drive(3.0, 1_500, 1_620);
         let v = bench.rolling();
         let way = bench.roll_out(0);
         // The last pulse takes effect a dead time of 20 ms after it, and was a frame
         // before the end; the ESC counts from there.
-        let p = bench.car.parameters().motor;
+        let p = bench.car.parameters.motor;
         let expected = v * loss_s + roll_out(v, p.coasting_m_s2, p.viscous_per_s);
         assert!((way - expected).abs() < v * 0.03, "{way} {expected}");
     }
@@ -439,7 +439,7 @@ fn the_tyres_have_the_curve_and_the_slip_angles_of_the_truth() {
             let mut bench = Bench::armed(&truth);
             bench.drive(8.0, 1_290, 1_670);
             let truth = bench.car.truth();
-            let vehicle = bench.car.parameters().vehicle;
+            let vehicle = bench.car.parameters.vehicle;
             let (l_f, l_r) = (vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m);
             let weight = vehicle.friction * vehicle.mass_kg * 9.806_65 / (l_f + l_r);
             let unbalanced = |exact: bool, force: Curve| {

@@ -221,11 +221,11 @@ fn world() -> World {
 
 /// Begins a motion and lets it end; gives the truth of every millisecond.
 fn run(world: &mut World, motion: HandMotion) -> Vec<Truth> {
-    world.car_mut().begin_by_hand(motion);
+    world.car.begin_by_hand(motion);
     let mut truths = Vec::new();
-    while world.car().is_in_motion_by_hand() {
+    while world.car.is_in_motion_by_hand() {
         assert!(truths.len() < 60_000, "the motion does not end");
-        let next = world.now_us() / 1_000 + 1;
+        let next = world.now_us / 1_000 + 1;
         world.advance_to(next * 1_000);
         truths.push(world.truth());
     }
@@ -236,7 +236,7 @@ fn run(world: &mut World, motion: HandMotion) -> Vec<Truth> {
 fn a_rolled_car_covers_its_distance_with_its_pulses() {
     for distance_m in [0.5, -0.7] {
         let mut world = world();
-        let before = world.car().motor_pulses().count;
+        let before = world.car.motor_pulses().count;
         let truths = run(
             &mut world,
             HandMotion::Roll {
@@ -253,7 +253,7 @@ fn a_rolled_car_covers_its_distance_with_its_pulses() {
             .fold(0.0, f64::max);
         assert!((fastest - 0.4).abs() < 1e-9, "{fastest}");
         // 3 mm each.
-        let pulses = f64::from(world.car().motor_pulses().count.wrapping_sub(before));
+        let pulses = f64::from(world.car.motor_pulses().count.wrapping_sub(before));
         assert!((pulses - distance_m.abs() / 0.003).abs() <= 2.0, "{pulses}");
     }
 }
@@ -261,8 +261,8 @@ fn a_rolled_car_covers_its_distance_with_its_pulses() {
 #[test]
 fn a_turn_keeps_its_point_and_its_rates_add_up() {
     let mut world = world();
-    let rear = world.config().car.vehicle.rear_axle_distance_m;
-    let before = world.car().motor_pulses().count;
+    let rear = world.config.car.vehicle.rear_axle_distance_m;
+    let before = world.car.motor_pulses().count;
     let truths = run(
         &mut world,
         HandMotion::Turn {
@@ -289,7 +289,7 @@ fn a_turn_keeps_its_point_and_its_rates_add_up() {
     let centripetal = -rear * fastest.yaw_rate * fastest.yaw_rate;
     assert!((fastest.longitudinal_acceleration - centripetal).abs() < 1e-3);
     // The middle of the rear axle does not roll.
-    let pulses = world.car().motor_pulses().count.wrapping_sub(before);
+    let pulses = world.car.motor_pulses().count.wrapping_sub(before);
     assert!(pulses <= 1, "{pulses}");
 }
 
@@ -325,16 +325,16 @@ fn a_lifted_car_stays_while_its_wheels_turn_and_drives_when_it_is_put_down() {
     // Its own pulses would come between those of the test.
     world.set_board_power(false);
     run(&mut world, HandMotion::Lift { height_m: 0.1 });
-    assert!(world.car().wheels_are_up() && world.truth().held);
+    assert!(world.car.wheels_are_up() && world.truth().held);
     let place = world.truth();
     let pulse = |world: &mut World, esc_us: u16, ms: u64| {
         for _ in 0..ms / 20 {
-            world.car_mut().apply_pulses(1_500, esc_us);
-            let next = world.now_us() + 20_000;
+            world.car.apply_pulses(1_500, esc_us);
+            let next = world.now_us + 20_000;
             world.advance_to(next);
         }
     };
-    let before = world.car().motor_pulses().count;
+    let before = world.car.motor_pulses().count;
     pulse(&mut world, 1_500, 1_500);
     pulse(&mut world, 1_560, 1_000);
     let spinning = world.truth();
@@ -344,9 +344,9 @@ fn a_lifted_car_stays_while_its_wheels_turn_and_drives_when_it_is_put_down() {
         (place.x, place.y, place.yaw)
     );
     assert!(spinning.speed == 0.0 && spinning.way == place.way);
-    assert!(world.car().motor_pulses().count > before + 20);
+    assert!(world.car.motor_pulses().count > before + 20);
     run(&mut world, HandMotion::PutDown);
-    assert!(!world.truth().held && !world.car().wheels_are_up());
+    assert!(!world.truth().held && !world.car.wheels_are_up());
     pulse(&mut world, 1_560, 1_000);
     assert!(world.truth().x > place.x + 0.1, "{}", world.truth().x);
 }
@@ -354,7 +354,7 @@ fn a_lifted_car_stays_while_its_wheels_turn_and_drives_when_it_is_put_down() {
 #[test]
 fn a_carried_car_arrives_and_its_wheels_do_not_turn() {
     let mut world = world();
-    let before = world.car().motor_pulses().count;
+    let before = world.car.motor_pulses().count;
     let to = StartPose {
         x_m: 1.0,
         y_m: -0.5,
@@ -364,7 +364,7 @@ fn a_carried_car_arrives_and_its_wheels_do_not_turn() {
     let end = truths.last().unwrap();
     assert!((end.x - 1.0).abs() < 1e-9 && (end.y + 0.5).abs() < 1e-9);
     assert!((end.yaw - FRAC_PI_2).abs() < 1e-9);
-    assert_eq!(world.car().motor_pulses().count, before);
+    assert_eq!(world.car.motor_pulses().count, before);
     assert!(truths.iter().any(|truth| truth.height > 0.1));
     assert!(!world.truth().held);
 }
@@ -376,8 +376,8 @@ fn exchanged_plugs_exchange_the_pulses() {
     let mut world = World::new(config).unwrap();
     for index in 0..200 {
         let servo_us = if index < 120 { 1_500 } else { 1_600 };
-        world.car_mut().apply_pulses(servo_us, 1_500);
-        let next = world.now_us() + 20_000;
+        world.car.apply_pulses(servo_us, 1_500);
+        let next = world.now_us + 20_000;
         world.advance_to(next);
     }
     let truth = world.truth();

@@ -206,16 +206,16 @@ fn natnet_is_served_by_unicast() {
     let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     socket
-        .send_to(&request(&CONNECT), simulator.command_address())
+        .send_to(&request(&CONNECT), simulator.command_address)
         .unwrap();
     let mut buffer = [0; 2048];
     let (length, from) = socket.recv_from(&mut buffer).unwrap();
-    assert_eq!(from, simulator.command_address().into());
+    assert_eq!(from, simulator.command_address.into());
     match ServerMessage::decode(&buffer[..length], BitstreamVersion::V4_1) {
         Ok(ServerMessage::ServerInfo(info)) => {
             let channel = info.connection.unwrap().data_channel;
             assert!(!channel.multicast);
-            assert_eq!(channel.port, simulator.data_address().port());
+            assert_eq!(channel.port, simulator.data_address.port());
         }
         other => panic!("{other:?}"),
     }
@@ -231,7 +231,7 @@ fn natnet_is_served_by_multicast_on_the_loopback_interface() {
     let socket = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::DGRAM, None).unwrap();
     socket.set_reuse_address(true).unwrap();
     let group = singletrack_sim::MULTICAST_GROUP;
-    let address = std::net::SocketAddrV4::new(group, simulator.data_address().port());
+    let address = std::net::SocketAddrV4::new(group, simulator.data_address.port());
     socket.bind(&address.into()).unwrap();
     socket
         .join_multicast_v4(&group, &Ipv4Addr::LOCALHOST)

@@ -19,6 +19,7 @@ use singletrack_logs::import::import;
 use singletrack_statistics::RootMeanSquare;
 
 use crate::{
+    Result,
     identify::{self, Identified, IdentifyArgs, IdentifyFormat, SlipAngleKind, TyreKind},
     judge::{WHOLE, judge},
 };
@@ -117,7 +118,7 @@ struct LogResult {
 /// # Errors
 ///
 /// What can't be read, imported, judged or identified.
-pub fn run(args: &BenchmarkArgs) -> Result<(), Box<dyn Error>> {
+pub fn run(args: &BenchmarkArgs) -> Result {
     let at = |path: &Path, error: &dyn Error| format!("{}: {error}", path.display());
     let text = fs::read_to_string(&args.cars).map_err(|error| at(&args.cars, &error))?;
     let cars: Cars = toml::from_str(&text).map_err(|error| at(&args.cars, &error))?;
@@ -149,7 +150,7 @@ fn collect(folder: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
     Ok(())
 }
 
-fn measured(car: Car, beside: &Path, files: &[PathBuf]) -> Result<CarResult, Box<dyn Error>> {
+fn measured(car: Car, beside: &Path, files: &[PathBuf]) -> Result<CarResult> {
     let (map, config_path) = (beside.join(&car.map), beside.join(&car.config));
     let config = Config::read(&config_path)?;
     let records = tempfile::tempdir()?;

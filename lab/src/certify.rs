@@ -1,9 +1,11 @@
 //! `singletrack certify`: the certificate of the safety filter, for a configuration.
 
-use std::{fs, io, path::PathBuf};
+use std::{fs, path::PathBuf};
 
 use clap::Args;
-use singletrack_core::{Config, ConfigError, certificate::certificate};
+use singletrack_core::{Config, certificate::certificate};
+
+use crate::Result;
 
 /// Options of `singletrack certify`.
 #[derive(Clone, Debug, Args)]
@@ -20,31 +22,13 @@ pub struct CertifyArgs {
     pub out: PathBuf,
 }
 
-/// Why there is no certificate.
-#[derive(Debug, thiserror::Error)]
-pub enum CertifyError {
-    /// The configuration is not one, or has none.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The file can't be written.
-    #[error("can't write {}: {source}", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-}
-
 /// Writes the certificate.
 ///
 /// # Errors
 ///
-/// [`CertifyError`].
-pub fn run(args: &CertifyArgs) -> Result<(), CertifyError> {
+/// The configuration or the file, with what to do.
+pub fn run(args: &CertifyArgs) -> Result {
     let text = certificate(&Config::read(&args.config)?)?;
-    fs::write(&args.out, text).map_err(|source| CertifyError::Write {
-        path: args.out.clone(),
-        source,
-    })
+    let path = args.out.display();
+    Ok(fs::write(&args.out, text).map_err(|error| format!("can't write {path}: {error}"))?)
 }

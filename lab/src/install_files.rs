@@ -8,7 +8,6 @@ use std::{
 
 use clap::{Args, Command, CommandFactory as _, ValueEnum};
 use clap_complete::{Shell, generate, generate_to};
-use singletrack_figures::output;
 
 /// Options of `singletrack-lab install-files`.
 #[derive(Clone, Debug, Args)]
@@ -52,7 +51,7 @@ impl CompletedShell {
 /// # Errors
 ///
 /// When standard output can't be written; a closed pipe is no error.
-pub fn print(shell: CompletedShell, command: &Command) -> io::Result<()> {
+pub fn print(shell: CompletedShell, command: &Command) -> crate::Result {
     let mut text = Vec::new();
     generate(
         shell.shell(),
@@ -60,7 +59,7 @@ pub fn print(shell: CompletedShell, command: &Command) -> io::Result<()> {
         "singletrack",
         &mut text,
     );
-    output::print(&String::from_utf8_lossy(&text))
+    crate::print(&String::from_utf8_lossy(&text))
 }
 
 /// `singletrack` with the commands of the laboratory.

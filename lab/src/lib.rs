@@ -17,3 +17,11 @@ pub mod reproduce;
 pub mod stability;
 pub mod table;
 pub mod vehicle_file;
+
+pub use singletrack_campaign::Result;
+
+/// Prints a text as it is.
+fn print(text: &str) -> Result {
+    singletrack_figures::output::print(text)
+        .map_err(|error| format!("can't write to standard output: {error}").into())
+}

@@ -2,7 +2,6 @@
 
 use std::{
     env,
-    error::Error,
     ffi::{OsStr, OsString},
     path::Path,
     process::ExitCode,
@@ -13,7 +12,9 @@ use singletrack::{arguments::take_negative_numbers, help::printable, lab};
 use singletrack_campaign::{MergeArgs, run_merge};
 use singletrack_core::config::{OwnLoopKind, link_own_loops};
 
-use crate::{benchmark, certify, compare, identify, install_files, judge, reproduce, stability};
+use crate::{
+    Result, benchmark, certify, compare, identify, install_files, judge, reproduce, stability,
+};
 
 /// The laboratory of Singletrack: compare, identify, judge, reproduce, analyse.
 #[derive(Parser)]
@@ -58,7 +59,6 @@ enum Command {
 /// Runs the command line of this process as the programs of Singletrack do, with these outer loops of
 /// other crates: as `singletrackd` if that is its name or its first argument, and otherwise as
 /// `singletrack`.
-#[must_use]
 pub fn main_with(kinds: impl Into<Vec<OwnLoopKind>>) -> ExitCode {
     link_own_loops(kinds);
     let arguments: Vec<OsString> = env::args_os().collect();
@@ -75,7 +75,6 @@ pub fn main_with(kinds: impl Into<Vec<OwnLoopKind>>) -> ExitCode {
 }
 
 /// Runs the command line of this process.
-#[must_use]
 pub fn main() -> ExitCode {
     // As it is typed: `singletrack stability`.
     let mut command = take_negative_numbers(Cli::command()).bin_name("singletrack");
@@ -91,18 +90,17 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn run(command: &Command) -> Result<(), Box<dyn Error>> {
+fn run(command: &Command) -> Result {
     match command {
-        Command::Benchmark(args) => benchmark::run(args)?,
-        Command::Certify(args) => certify::run(args)?,
-        Command::Compare(args) => compare::run(args)?,
-        Command::Completions { shell } => install_files::print(*shell, &Cli::command())?,
-        Command::Identify(args) => identify::run(args)?,
-        Command::Judge(args) => judge::run(args)?,
-        Command::Merge(args) => run_merge(args)?,
-        Command::Reproduce(args) => reproduce::run(args)?,
-        Command::Stability(args) => stability::run(args)?,
-        Command::InstallFiles(args) => install_files::run(args, &Cli::command())?,
+        Command::Benchmark(args) => benchmark::run(args),
+        Command::Certify(args) => certify::run(args),
+        Command::Compare(args) => compare::run(args),
+        Command::Completions { shell } => install_files::print(*shell, &Cli::command()),
+        Command::Identify(args) => identify::run(args),
+        Command::Judge(args) => judge::run(args),
+        Command::Merge(args) => run_merge(args),
+        Command::Reproduce(args) => reproduce::run(args),
+        Command::Stability(args) => stability::run(args),
+        Command::InstallFiles(args) => Ok(install_files::run(args, &Cli::command())?),
     }
-    Ok(())
 }

@@ -27,7 +27,6 @@ impl Table {
     }
 
     /// As JSON: an object for each row, with null for a number that is missing.
-    #[must_use]
     pub fn to_json(&self) -> Vec<Map<String, Value>> {
         let object = |row: &Vec<f64>| {
             let names = self.header.split(',').map(str::to_owned);
@@ -37,7 +36,6 @@ impl Table {
     }
 
     /// As CSV: numbers with every significant digit; an empty cell for one that is missing.
-    #[must_use]
     pub fn to_csv(&self) -> String {
         let cell = |value: &f64| {
             if value.is_nan() {

@@ -3,46 +3,13 @@
 //! The daemon's configuration and a scenario may have that table, and are vehicle files
 //! then; `tools/vehicles` has some cars.
 
-use std::{
-    fs, io,
-    path::{Path, PathBuf},
-};
+use std::{fs, path::Path};
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::{VehicleParameterError, VehicleParameters};
+use singletrack_control::VehicleParameters;
 use singletrack_settings::explain;
 
-/// Why a file gives no car.
-#[derive(Debug, thiserror::Error)]
-pub enum VehicleFileError {
-    /// The file can't be read.
-    #[error("can't read the vehicle file {}: {source}", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// It has no car, or not all of it.
-    #[error(
-        "{}: {message} (a vehicle file needs a table [vehicle] as in tools/vehicles/paper.toml)",
-        .path.display()
-    )]
-    Parse {
-        /// The file.
-        path: PathBuf,
-        /// Where and why.
-        message: String,
-    },
-    /// No car can be so.
-    #[error("{}: [vehicle]: {source}", .path.display())]
-    Vehicle {
-        /// The file.
-        path: PathBuf,
-        /// Which parameter.
-        source: VehicleParameterError,
-    },
-}
+use crate::Result;
 
 /// What is read of a file; other tables may be there.
 #[derive(Deserialize, Serialize)]
@@ -55,7 +22,7 @@ struct File {
 /// # Errors
 ///
 /// A file that can't be read, or has no car in it.
-pub fn read_or_paper(path: Option<&Path>) -> Result<VehicleParameters, VehicleFileError> {
+pub fn read_or_paper(path: Option<&Path>) -> Result<VehicleParameters> {
     path.map_or_else(|| Ok(VehicleParameters::paper()), read)
 }
 
@@ -64,21 +31,19 @@ pub fn read_or_paper(path: Option<&Path>) -> Result<VehicleParameters, VehicleFi
 /// # Errors
 ///
 /// A file that can't be read, or has no car in it.
-pub fn read(path: &Path) -> Result<VehicleParameters, VehicleFileError> {
-    let text = fs::read_to_string(path).map_err(|source| VehicleFileError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
-    let File { vehicle } = toml::from_str(&text).map_err(|error| VehicleFileError::Parse {
-        path: path.to_owned(),
-        message: explain(&text, &error),
+pub fn read(path: &Path) -> Result<VehicleParameters> {
+    let name = path.display();
+    let text = fs::read_to_string(path)
+        .map_err(|error| format!("can't read the vehicle file {name}: {error}"))?;
+    let File { vehicle } = toml::from_str(&text).map_err(|error| {
+        format!(
+            "{name}: {} (a vehicle file needs a table [vehicle] as in tools/vehicles/paper.toml)",
+            explain(&text, &error)
+        )
     })?;
     vehicle
         .validate()
-        .map_err(|source| VehicleFileError::Vehicle {
-            path: path.to_owned(),
-            source,
-        })?;
+        .map_err(|error| format!("{name}: [vehicle]: {error}"))?;
     Ok(vehicle)
 }
 
@@ -87,8 +52,9 @@ pub fn read(path: &Path) -> Result<VehicleParameters, VehicleFileError> {
 /// # Errors
 ///
 /// A number that has no TOML.
-pub fn text(vehicle: VehicleParameters) -> Result<String, toml::ser::Error> {
+pub fn text(vehicle: VehicleParameters) -> Result<String> {
     toml::to_string(&File { vehicle })
+        .map_err(|error| format!("can't write a vehicle file: {error}").into())
 }
 
 #[cfg(test)]

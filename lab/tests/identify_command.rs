@@ -202,7 +202,7 @@ fn records_that_tell_nothing_are_refused_with_what_to_do() {
     // Without IMU and board: neither telemetry nor what the ticks took in of it.
     let numb = folder.path().join("numb.mcap");
     let reader = Reader::open(&short).unwrap();
-    let mut recorder = Recorder::create(&numb, reader.meta()).unwrap();
+    let mut recorder = Recorder::create(&numb, &reader.meta).unwrap();
     for entry in reader {
         let mut entry = entry.unwrap();
         if let Entry::Tick(tick) = &mut entry {

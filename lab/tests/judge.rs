@@ -8,7 +8,7 @@ use rand_chacha::{
     rand_core::{Rng as _, SeedableRng as _},
 };
 use singletrack_core::Config;
-use singletrack_lab::judge::{JudgeError, Part, Verdict, WHOLE, judge};
+use singletrack_lab::judge::{Part, Verdict, WHOLE, judge};
 use singletrack_logs::import::import;
 
 /// A file of the repository.
@@ -284,7 +284,6 @@ fn a_record_without_frames_says_what_is_missing() {
     let record = folder.path().join("log.mcap");
     import(&[&csv], &map, &record, |_, _| {}).unwrap();
     let error = judge(&record, &dart(), WHOLE, |_, _| {}).unwrap_err();
-    assert!(matches!(error, JudgeError::Empty { .. }), "{error}");
     assert!(
         error.to_string().contains("no frames of the cameras"),
         "{error}"

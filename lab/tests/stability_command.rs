@@ -146,55 +146,6 @@ fn eigenvalues_come_over_speeds_and_deviations_by_ascending_real_part() {
 }
 
 #[test]
-fn the_jacobian_names_its_states_and_has_the_eigenvalues_of_the_map() {
-    let text = printed(&[
-        "jacobian",
-        "--law",
-        "front-point",
-        "--speed",
-        "2",
-        "--dl",
-        "-0.1",
-    ]);
-    let lines: Vec<_> = text.lines().collect();
-    assert_eq!(lines[0], "derivative_of,yaw,yaw_rate,sideslip,steering");
-    assert_eq!(lines[1], "yaw,0,1,0,0");
-    // The law steers against yaw and sideslip by v/p, against the yaw rate by l_f/p + 1.
-    let law: Vec<&str> = lines[4].split(',').collect();
-    assert_eq!(law[0], "steering");
-    for (field, expected) in
-        law[1..]
-            .iter()
-            .zip([-2.0 / 0.35, -0.0368 / 0.35 - 1.0, -2.0 / 0.35, 0.0])
-    {
-        assert!(
-            (field.parse::<f64>().unwrap() - expected).abs() < 1e-12,
-            "{text}"
-        );
-    }
-    let text = printed(&[
-        "jacobian",
-        "--law",
-        "velocity-point",
-        "--speed",
-        "2",
-        "--format",
-        "json",
-    ]);
-    let document: serde_json::Value = serde_json::from_str(&text).unwrap();
-    let point = &document["points"][0];
-    assert_eq!(point["states"].as_array().unwrap().len(), 3);
-    assert_eq!(
-        point["characteristic_polynomial_ascending"]
-            .as_array()
-            .unwrap()
-            .len(),
-        3
-    );
-    assert_eq!(point["stable"], true);
-}
-
-#[test]
 fn the_region_is_stable_where_all_eigenvalues_are_left_of_zero() {
     let region = rows(
         &["region", "--law", "velocity-point", "--speeds", "0.5:8:0.5"],

@@ -54,7 +54,6 @@ impl Configuration {
     /// Identifies this configuration in [`crate::Arm`], [`crate::Acknowledgement`]
     /// and [`crate::Status`]: the CRC-32 of its encoded bytes. Never zero, which
     /// stands for no configuration.
-    #[must_use]
     #[inline(never)]
     pub fn hash(&self) -> u32 {
         let mut buffer = [0; Self::LENGTH];
@@ -173,13 +172,11 @@ enumeration! {
 
 impl ImuAxis {
     /// The number of the axis: 0 for x, 1 for y, 2 for z.
-    #[must_use]
     pub const fn index(self) -> u8 {
         self as u8 >> 1
     }
 
     /// Whether the direction is against the axis.
-    #[must_use]
     pub const fn is_negative(self) -> bool {
         self as u8 & 1 != 0
     }
@@ -195,7 +192,6 @@ impl ImuAxes {
 
     /// Whether this is a mounting: three different axes that form a right-handed
     /// system, as the chip's own do. There are 24.
-    #[must_use]
     pub const fn is_mounting(self) -> bool {
         let (forward, left, up) = (self.forward.index(), self.left.index(), self.up.index());
         if forward == left || left == up || up == forward {
@@ -335,7 +331,6 @@ impl EscKind {
     }
 
     /// Whether a pulse below neutral brakes, at least after driving forward.
-    #[must_use]
     pub const fn has_brake(self) -> bool {
         !matches!(self, Self::ForwardReverse)
     }

@@ -33,7 +33,6 @@ const _: () = assert!(MAX_PACKET_LENGTH < 254);
 
 /// Length of a frame on the wire with a payload of `payload_length` bytes: type,
 /// checksum, one byte of COBS, and the final zero.
-#[must_use]
 pub const fn frame_length(payload_length: usize) -> usize {
     payload_length + ENVELOPE_LENGTH + 2
 }
@@ -47,7 +46,6 @@ pub struct Frame {
 
 impl Frame {
     /// The bytes to send.
-    #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         self.bytes
             .get(..usize::from(self.length))
@@ -55,7 +53,6 @@ impl Frame {
     }
 
     /// An empty frame.
-    #[must_use]
     pub const fn new() -> Self {
         Self {
             bytes: [0; MAX_FRAME_LENGTH],
@@ -199,7 +196,6 @@ const FULL_BLOCK: u8 = 0xFF;
 
 impl Decoder {
     /// A decoder at the start of a frame.
-    #[must_use]
     pub const fn new() -> Self {
         Self {
             packet: [0; MAX_PACKET_LENGTH],

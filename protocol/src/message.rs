@@ -62,7 +62,6 @@ pub trait Message: Field + Serialize + DeserializeOwned {
     const PAYLOAD_LENGTH: usize;
 
     /// The frame that carries this message, as the board makes it.
-    #[must_use]
     fn encode(&self) -> Frame {
         let mut frame = Frame::new();
         self.encode_into(&mut frame);
@@ -191,7 +190,6 @@ macro_rules! direction {
 
         impl $name {
             /// The frame that carries this message.
-            #[must_use]
             pub fn encode(&self) -> Frame {
                 match self {
                     $(Self::$message(message) => $encode(message),)*
@@ -335,7 +333,6 @@ impl Sequence {
     }
 
     /// Whether this number comes after `other`, by at most 127 steps.
-    #[must_use]
     pub const fn is_newer_than(self, other: Self) -> bool {
         matches!(self.0.wrapping_sub(other.0), 1..=127)
     }

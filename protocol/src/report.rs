@@ -31,7 +31,6 @@ enumeration! {
 
 impl BoardMode {
     /// Whether it takes commands, or will without another request.
-    #[must_use]
     pub const fn is_armed(self) -> bool {
         matches!(
             self,

@@ -119,13 +119,13 @@ pub(crate) fn read_record<'py>(
         tables.set_item(topic.name(), table)?;
     }
     let meta = PyDict::new(py);
-    let found = reader.meta();
+    let found = &reader.meta;
     meta.set_item("configuration", &found.configuration)?;
     meta.set_item("software", found.software.clone())?;
     meta.set_item("seed", found.seed)?;
     meta.set_item("start_monotonic_ns", found.start.monotonic_ns)?;
     meta.set_item("start_wall_ns", found.start.wall_ns)?;
     meta.set_item("damage", damage)?;
-    meta.set_item("finished", reader.ending() == Some(Ending::Finished))?;
+    meta.set_item("finished", reader.ending == Some(Ending::Finished))?;
     Ok((tables, meta))
 }

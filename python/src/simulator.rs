@@ -88,7 +88,7 @@ impl Simulator {
     /// The mode after the last tick.
     #[getter]
     fn mode(&self) -> PyResult<&'static str> {
-        Ok(self.laboratory()?.drive().mode().name())
+        Ok(self.laboratory()?.drive.mode().name())
     }
 
     /// The present, in s of virtual time.
@@ -198,7 +198,7 @@ impl Simulator {
 
     /// The configuration in force, as TOML.
     fn configuration(&self) -> PyResult<String> {
-        self.laboratory()?.config().to_toml().map_err(fail)
+        self.laboratory()?.config.to_toml().map_err(fail)
     }
 
     /// Completes the record, if there is one.
@@ -313,7 +313,7 @@ pub(crate) struct FleetDrive(Mutex<Drive>);
 impl FleetDrive {
     /// The time since the references began, in s; negative before.
     fn time(&self) -> PyResult<f64> {
-        let (now, start) = (Instant::now(), self.drive()?.start());
+        let (now, start) = (Instant::now(), self.drive()?.start);
         let since = now.saturating_duration_since(start).as_secs_f64();
         Ok(since - start.saturating_duration_since(now).as_secs_f64())
     }

@@ -74,7 +74,7 @@ impl Vehicle {
     pub(crate) fn truth(&self) -> Seen {
         match self {
             Self::Plant(plant) => plant.truth.into(),
-            Self::System(system) => system.drive.world().truth().into(),
+            Self::System(system) => system.drive.world.truth().into(),
         }
     }
 

@@ -14,7 +14,7 @@ pub(crate) fn replay(record: Vec<u8>) -> Result<Vec<u8>, Box<dyn Error>> {
     let bytes = record.len();
     let mut reader = Reader::from_read(Cursor::new(record), Path::new("the record"))?
         .only(&[Topic::Configuration, Topic::Tick]);
-    let meta = reader.meta();
+    let meta = &reader.meta;
     let config = Config::from_toml(&meta.configuration)?;
     let (software, seed) = (meta.software.clone(), meta.seed);
     let mut replay = Replay::new(config.pilot()?);
@@ -57,7 +57,7 @@ pub(crate) fn replay(record: Vec<u8>) -> Result<Vec<u8>, Box<dyn Error>> {
         "ticks": ticks,
         "different": different,
         "first": first,
-        "finished": reader.ending() == Some(Ending::Finished),
+        "finished": reader.ending == Some(Ending::Finished),
         "digest": digest.to_string(),
         "modes": modes,
         "setup": top_view::setup(1, &config),

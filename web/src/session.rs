@@ -80,7 +80,7 @@ impl Session {
                 self.0 = None;
                 let shown = self.0.insert(Shown::begin(&toml)?);
                 return reply(&json!({
-                    "setup": top_view::setup(1, shown.laboratory().config()),
+                    "setup": top_view::setup(1, &shown.laboratory().config),
                     "external": shown.laboratory().is_external(),
                     "state": shown.laboratory().state(),
                 }));
@@ -118,7 +118,7 @@ impl Session {
     }
 
     fn laboratory(&mut self) -> Result<&mut Laboratory, &'static str> {
-        Ok(self.shown()?.run.laboratory_mut())
+        Ok(&mut self.shown()?.run.laboratory)
     }
 }
 
@@ -139,7 +139,7 @@ impl Shown {
     }
 
     const fn laboratory(&self) -> &Laboratory {
-        self.run.laboratory()
+        &self.run.laboratory
     }
 
     fn step(&mut self, ticks: u32, every: u32) -> Answer {
@@ -156,7 +156,7 @@ impl Shown {
                 }
             }
             if self.digest.is_none() && self.run.is_complete() {
-                self.digest = self.laboratory().digest();
+                self.digest = self.laboratory().digest;
                 states.extend(self.laboratory().state());
                 break;
             }

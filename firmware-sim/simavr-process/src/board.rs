@@ -262,7 +262,7 @@ impl Board {
             }
             let now = self.now();
             let devices = self.machine.devices();
-            if devices.changed || devices.next() <= now {
+            if devices.changed || devices.next <= now {
                 if devices.battery_pull_up() != self.battery.pulled_up {
                     self.pass_voltages();
                 }
@@ -278,7 +278,7 @@ impl Board {
             if now >= until {
                 return;
             }
-            let until = until.min(self.machine.devices().next());
+            let until = until.min(self.machine.devices().next);
             self.proceed(until);
             self.check_for_crash();
         }

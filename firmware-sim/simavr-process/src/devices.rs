@@ -87,7 +87,8 @@ pub(crate) struct Devices {
     /// Interrupt requests and the next event may have changed.
     pub(crate) changed: bool,
     pub(crate) watchdog_reset: Option<u64>,
-    next: u64,
+    /// Time of the next event of a device.
+    pub(crate) next: u64,
 }
 
 impl Devices {
@@ -112,11 +113,6 @@ impl Devices {
         self.fatal = None;
         self.watchdog_reset = None;
         self.changed = true;
-    }
-
-    /// Time of the next event of a device.
-    pub(crate) const fn next(&self) -> u64 {
-        self.next
     }
 
     pub(crate) fn find_next(&mut self) {
@@ -284,15 +280,15 @@ impl Devices {
     pub(crate) fn read(&mut self, now: u64, address: u16) -> u8 {
         match address {
             PINB | PINC | PIND => self.pins(address),
-            TIFR1 => self.timer1.flags(),
-            TIMSK1 => self.timer1.mask(),
+            TIFR1 => self.timer1.flags,
+            TIMSK1 => self.timer1.mask,
             TCCR1A..=OCR1BH => self.timer1.read(now, address - TCCR1A),
             WDTCSR => self.watchdog.read(now),
             TWBR => self.twi.bit_rate,
             TWSR => self.twi.status(),
             TWAR => self.twi.own_address[0],
-            TWDR => self.twi.data(),
-            TWCR => self.twi.control(),
+            TWDR => self.twi.data,
+            TWCR => self.twi.control,
             TWAMR => self.twi.own_address[1],
             UCSR0A..=UCSR0C => self.uart.control(usize::from(address - UCSR0A)),
             UBRR0L => self.uart.divider()[0],

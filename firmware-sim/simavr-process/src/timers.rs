@@ -15,8 +15,8 @@ struct Channel {
 #[derive(Debug, Default)]
 pub(crate) struct Timer1 {
     control: [u8; 3],
-    mask: u8,
-    flags: u8,
+    pub(crate) mask: u8,
+    pub(crate) flags: u8,
     temp: u8,
     capture: u16,
     channels: [Channel; 2],
@@ -187,17 +187,9 @@ impl Timer1 {
         }
     }
 
-    pub(crate) fn flags(&self) -> u8 {
-        self.flags
-    }
-
     /// Clears the flags that are one in `ones`.
     pub(crate) fn clear_flags(&mut self, ones: u8) {
         self.flags &= !ones;
-    }
-
-    pub(crate) fn mask(&self) -> u8 {
-        self.mask
     }
 
     pub(crate) fn set_mask(&mut self, value: u8) {
@@ -447,9 +439,9 @@ mod tests {
         write16(&mut timer, 0x1400, TCNT1, 0xFFFE);
         assert_eq!(timer.next(), 0x1402);
         timer.advance();
-        assert_eq!(timer.flags(), TOV);
+        assert_eq!(timer.flags, TOV);
         timer.clear_flags(TOV);
-        assert_eq!(timer.flags(), 0);
+        assert_eq!(timer.flags, 0);
     }
 
     #[test]

@@ -44,9 +44,9 @@ pub(crate) struct Twi {
     clock_high: bool,
     pub(crate) bit_rate: u8,
     prescaler: u8,
-    control: u8,
+    pub(crate) control: u8,
     status: u8,
-    data: u8,
+    pub(crate) data: u8,
     /// Own address and its mask.
     pub(crate) own_address: [u8; 2],
     /// Between a start and a stop condition of this master.
@@ -229,10 +229,6 @@ impl Twi {
         self.control & TWINT != 0 && self.control & TWIE != 0
     }
 
-    pub(crate) fn control(&self) -> u8 {
-        self.control
-    }
-
     pub(crate) fn set_control(&mut self, now: u64, value: u8) {
         let held = self.control & TWINT & !value;
         let kept = self.control & TWSTO;
@@ -269,10 +265,6 @@ impl Twi {
 
     pub(crate) fn set_prescaler(&mut self, value: u8) {
         self.prescaler = value & 3;
-    }
-
-    pub(crate) fn data(&self) -> u8 {
-        self.data
     }
 
     /// Ignored while a byte is in progress (TWWC).

@@ -54,7 +54,6 @@ pub struct Motion {
 impl Motion {
     /// This motion with the axes remapped as by the registers `AXIS_MAP_CONFIG` and
     /// `AXIS_MAP_SIGN`. Values that name no rotation leave it as it is.
-    #[must_use]
     pub fn remapped(&self, [map, signs]: [u8; 2]) -> Self {
         let axes = [0, 2, 4].map(|shift| usize::from(map >> shift & 3));
         let signs = [4, 2, 1].map(|bit| if signs & bit == 0 { 1_i16 } else { -1 });

@@ -55,7 +55,7 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     println!("cpu {:.2} %", busy_percent(&before, &driving));
     println!(
         "pulse-jitter {:.4} us",
-        drive.world.board().pulse_jitter_us().unwrap_or(0.0)
+        drive.world.board.pulse_jitter_us().unwrap_or(0.0)
     );
     println!("critical-section {} cycles", after.longest_critical_section);
     for interrupt in &after.interrupts {
@@ -91,15 +91,15 @@ fn misuse(drive: &mut ScriptedDrive) {
         BusFault::Restarted,
         BusFault::None,
     ] {
-        drive.world.board_mut().set_imu_bus(fault);
+        drive.world.board.set_imu_bus(fault);
         drive.drive(50, 400, 0, |_| {});
     }
-    *drive.world.wire_mut().faults_mut() = WireFaults {
+    drive.world.wire.faults = WireFaults {
         corrupt: 0.02,
         ..WireFaults::default()
     };
     drive.drive(200, 400, 0, |_| {});
-    *drive.world.wire_mut().faults_mut() = WireFaults::default();
+    drive.world.wire.faults = WireFaults::default();
     drive.world.host_write(&[0x55; 600]);
     drive.run_ms(3_000);
     drive.prepare();
@@ -107,7 +107,7 @@ fn misuse(drive: &mut ScriptedDrive) {
 }
 
 fn figures(drive: &mut ScriptedDrive) -> Result<Figures, String> {
-    let board = drive.world.board_mut();
+    let board = &mut drive.world.board;
     match board.figures() {
         Some(figures) => Ok(figures),
         None => Err(board.failure().unwrap_or("no figures").to_owned()),

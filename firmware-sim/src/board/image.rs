@@ -164,7 +164,7 @@ pub(super) struct Image {
     edges: MotorPulses,
     motion: Vec<(u64, Motion)>,
     frames: Frames,
-    bytes_overrun: u64,
+    pub(super) bytes_overrun: u64,
 }
 
 impl Image {
@@ -183,10 +183,6 @@ impl Image {
 
     pub(super) fn failure(&self) -> Option<&str> {
         self.failure.as_deref()
-    }
-
-    pub(super) const fn bytes_overrun(&self) -> u64 {
-        self.bytes_overrun
     }
 
     pub(super) const fn next_event_us(&self) -> u64 {
@@ -223,7 +219,7 @@ impl Image {
 
     /// Largest deviation of a pulse from 20 ms after the previous one, in µs.
     pub(super) fn jitter_us(&self) -> f64 {
-        self.frames.jitter() as f64 / CYCLES_PER_US as f64
+        self.frames.jitter as f64 / CYCLES_PER_US as f64
     }
 
     pub(super) fn take_imu(&mut self, cycle: u64, reading: &ImuReading) {
@@ -279,11 +275,11 @@ impl Image {
             motion: std::mem::take(&mut self.motion),
             battery_mv: battery_mv(
                 environment.car,
-                &environment.car.parameters().battery,
+                &environment.car.parameters.battery,
                 environment.battery_noise,
             ),
-            supply_mv: supply_mv(&environment.car.parameters().battery),
-            divider_open: environment.car.parameters().battery.divider_open,
+            supply_mv: supply_mv(&environment.car.parameters.battery),
+            divider_open: environment.car.parameters.battery.divider_open,
             imu_health: Some(imu_registers(environment.car)),
             stop_input_open: environment.stop_input_open,
         };
@@ -383,7 +379,7 @@ impl Image {
 }
 
 fn imu_registers(car: &Car) -> ImuRegisters {
-    let [calibration, self_test, status, error] = car.parameters().imu.registers();
+    let [calibration, self_test, status, error] = car.parameters.imu.registers();
     ImuRegisters {
         calibration,
         self_test,

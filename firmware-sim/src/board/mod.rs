@@ -132,8 +132,10 @@ pub struct SimulatedBoard {
     phase: PowerState,
     machine: Machine,
     stop_input_open: bool,
-    resets: u64,
-    pulses: PulseLog,
+    /// Number of resets since the start, without the power-on.
+    pub resets: u64,
+    /// The pulses on the pins.
+    pub pulses: PulseLog,
     monitor: Monitor,
     received: Vec<u8>,
 }
@@ -165,7 +167,6 @@ impl SimulatedBoard {
     }
 
     /// Whether the board's code runs: the board is neither off nor in the bootloader.
-    #[must_use]
     pub const fn is_running(&self) -> bool {
         matches!(self.phase, PowerState::Running { .. })
     }
@@ -175,15 +176,8 @@ impl SimulatedBoard {
         !matches!(self.phase, PowerState::Off)
     }
 
-    /// Number of resets since the start, without the power-on.
-    #[must_use]
-    pub const fn resets(&self) -> u64 {
-        self.resets
-    }
-
     /// The board's clock, in µs, wrapping; `None` while it does not run. The
     /// image's own clock lags by up to a millisecond.
-    #[must_use]
     pub fn board_time_us(&self, simulation_us: u64) -> Option<u32> {
         match self.phase {
             PowerState::Running { started_us } => {
@@ -194,7 +188,6 @@ impl SimulatedBoard {
     }
 
     /// The native board's code, for inspection; `None` while it does not run.
-    #[must_use]
     pub fn code(&self) -> Option<&Board> {
         match (&self.machine, &self.phase) {
             (Machine::Native(native), PowerState::Running { .. }) => Some(native.code()),
@@ -204,14 +197,12 @@ impl SimulatedBoard {
 
     /// The last telemetry record that the board has started to send since its
     /// start.
-    #[must_use]
     pub const fn telemetry(&self) -> Option<&Telemetry> {
         self.monitor.telemetry()
     }
 
     /// Telemetry time of the newest command that reached the board in time since
     /// its start: board time, in µs. The time to live counts from it.
-    #[must_use]
     pub const fn last_command_us(&self) -> Option<u32> {
         self.monitor.last_command_us()
     }
@@ -222,12 +213,6 @@ impl SimulatedBoard {
         self.monitor.next_received()
     }
 
-    /// The pulses on the pins.
-    #[must_use]
-    pub const fn pulses(&self) -> &PulseLog {
-        &self.pulses
-    }
-
     fn image(&self) -> Option<&Image> {
         match &self.machine {
             Machine::Native(_) => None,
@@ -236,13 +221,11 @@ impl SimulatedBoard {
     }
 
     /// Bytes lost by the image's receiver so far; zero for a native board.
-    #[must_use]
     pub fn bytes_overrun(&self) -> u64 {
-        self.image().map_or(0, Image::bytes_overrun)
+        self.image().map_or(0, |image| image.bytes_overrun)
     }
 
     /// The error that ended the simulated processor, if any; the board is then off.
-    #[must_use]
     pub fn failure(&self) -> Option<&str> {
         self.image()?.failure()
     }
@@ -258,7 +241,6 @@ impl SimulatedBoard {
 
     /// Largest deviation of one of the image's pulses from 20 ms after the previous
     /// one, in µs; `None` for a native board.
-    #[must_use]
     pub fn pulse_jitter_us(&self) -> Option<f64> {
         self.image().map(Image::jitter_us)
     }
@@ -345,7 +327,7 @@ impl SimulatedBoard {
             PowerState::Off => u64::MAX,
             PowerState::Starting { until_us, .. } => until_us,
             PowerState::Running { .. } => match &self.machine {
-                Machine::Native(native) => native.next_event_us(),
+                Machine::Native(native) => native.next_event_us,
                 Machine::Image(image) => image.next_event_us(),
             },
         }

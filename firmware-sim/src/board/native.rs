@@ -60,7 +60,7 @@ pub(super) struct Native {
     polls: u64,
     frames: u64,
     /// When the next of them is due, in µs of the simulation.
-    next_event_us: u64,
+    pub(super) next_event_us: u64,
     edges: Edges,
     inputs: Inputs,
     hung: bool,
@@ -107,10 +107,6 @@ impl Native {
         self.imu_is_silent = silent;
     }
 
-    pub(super) const fn next_event_us(&self) -> u64 {
-        self.next_event_us
-    }
-
     pub(super) fn take_imu(&mut self, board_time_us: u32, reading: &ImuReading) {
         if !self.imu_is_silent {
             // The sensor turns its values to the car's axes.
@@ -154,10 +150,10 @@ impl Native {
                     count: self.edges.accepted,
                     last_edge_us: local_time(&clock, started_us, edges.last_us.unwrap_or(0)),
                 };
-                self.inputs.battery_mv = battery_mv(car, &car.parameters().battery, battery_noise);
-                self.inputs.supply_mv = supply_mv(&car.parameters().battery);
-                self.inputs.battery_open = car.parameters().battery.divider_open;
-                let [calibration, self_test, status, error] = car.parameters().imu.registers();
+                self.inputs.battery_mv = battery_mv(car, &car.parameters.battery, battery_noise);
+                self.inputs.supply_mv = supply_mv(&car.parameters.battery);
+                self.inputs.battery_open = car.parameters.battery.divider_open;
+                let [calibration, self_test, status, error] = car.parameters.imu.registers();
                 self.inputs.imu_health = ImuHealth {
                     calibration,
                     self_test,

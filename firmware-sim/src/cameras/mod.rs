@@ -102,22 +102,27 @@ pub struct CameraCounters {
 /// The cameras.
 #[derive(Clone, Debug)]
 pub struct Cameras {
-    parameters: CameraParameters,
-    clock: SkewedClock,
+    /// The parameters, with ids changed since.
+    pub parameters: CameraParameters,
+    /// The server's clock.
+    pub clock: SkewedClock,
     noise: Random,
     decoy_noise: Random,
     latency: Random,
-    faults: CameraFaults,
+    /// Mutable access to the faults.
+    pub faults: CameraFaults,
     /// Motions of the first decoys; the others stand.
     motions: Vec<DecoyMotion>,
     last_decoys: Vec<RigidBody>,
     loss_epoch_us: Option<u64>,
     epoch: Epoch,
     exposures: u64,
-    next_exposure_us: u64,
+    /// Simulation time of the next exposure, in µs.
+    pub(crate) next_exposure_us: u64,
     last_pose: RigidBody,
     under_way: VecDeque<CameraFrame>,
-    counters: CameraCounters,
+    /// The counters so far.
+    pub counters: CameraCounters,
 }
 
 impl Cameras {
@@ -144,33 +149,9 @@ impl Cameras {
         }
     }
 
-    /// The parameters, with ids changed since.
-    #[must_use]
-    pub const fn parameters(&self) -> &CameraParameters {
-        &self.parameters
-    }
-
-    /// The server's clock.
-    #[must_use]
-    pub const fn clock(&self) -> &SkewedClock {
-        &self.clock
-    }
-
     /// The server's high-resolution clock at a simulation time.
-    #[must_use]
     pub fn ticks(&self, simulation_us: u64) -> u64 {
         self.clock.at(simulation_us) * (TICKS_PER_SECOND / 1_000_000)
-    }
-
-    /// The counters so far.
-    #[must_use]
-    pub const fn counters(&self) -> CameraCounters {
-        self.counters
-    }
-
-    /// Mutable access to the faults.
-    pub const fn faults_mut(&mut self) -> &mut CameraFaults {
-        &mut self.faults
     }
 
     /// Moves the first decoys, in their order.
@@ -241,11 +222,6 @@ impl Cameras {
     pub(crate) const fn set_car_id(&mut self, id: i32) {
         self.parameters.car.id = id;
         self.last_pose.id = id;
-    }
-
-    /// Simulation time of the next exposure, in µs.
-    pub(crate) const fn next_exposure_us(&self) -> u64 {
-        self.next_exposure_us
     }
 
     /// Simulation time of sending the next frame, in µs.

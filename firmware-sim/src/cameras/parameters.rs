@@ -121,7 +121,6 @@ section! {
 
 impl CarBody {
     /// Position of the pivot from the centre of mass: forward, left, in m.
-    #[must_use]
     pub fn pivot(&self) -> [f64; 2] {
         let [forward, left] = self.to_centre_of_mass_m;
         let (c, s) = (cos(self.yaw_rad), sin(self.yaw_rad));

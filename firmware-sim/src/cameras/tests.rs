@@ -4,9 +4,9 @@ use super::*;
 
 fn frames(parameters: CameraParameters, truth: Truth, until_us: u64) -> Vec<CameraFrame> {
     let mut cameras = Cameras::new(parameters, 1);
-    while cameras.next_exposure_us() < until_us {
+    while cameras.next_exposure_us < until_us {
         cameras.expose(&Truth {
-            time_us: cameras.next_exposure_us(),
+            time_us: cameras.next_exposure_us,
             ..truth
         });
     }
@@ -89,7 +89,7 @@ fn losses_can_be_absent_or_silent_and_start_at_their_epoch() {
     cameras.set_loss_epoch(Some(1_000_000));
     cameras.parameters.loss_kind = LossKind::Absent;
     for _ in 0..200 {
-        let time_us = cameras.next_exposure_us();
+        let time_us = cameras.next_exposure_us;
         cameras.expose(&Truth {
             time_us,
             ..Truth::default()
@@ -100,17 +100,17 @@ fn losses_can_be_absent_or_silent_and_start_at_their_epoch() {
         let lost = (1_100_000..1_200_000).contains(&frame.exposed_us);
         assert_eq!(frame.bodies.len(), if lost { 2 } else { 3 });
     }
-    assert_eq!(cameras.counters().lost, 10);
-    assert_eq!(cameras.counters().sent, 200);
+    assert_eq!(cameras.counters.lost, 10);
+    assert_eq!(cameras.counters.sent, 200);
 
-    cameras.faults_mut().loss = Some(LossKind::Silent);
-    let time_us = cameras.next_exposure_us();
+    cameras.faults.loss = Some(LossKind::Silent);
+    let time_us = cameras.next_exposure_us;
     cameras.expose(&Truth {
         time_us,
         ..Truth::default()
     });
     assert!(cameras.take_frame(u64::MAX).unwrap().silent);
-    assert_eq!(cameras.counters().sent, 200);
+    assert_eq!(cameras.counters.sent, 200);
 }
 
 #[test]
@@ -135,23 +135,23 @@ fn noise_and_latency_have_the_configured_size() {
 fn faults_that_keep_the_tracking_bit_are_on_the_wire() {
     let mut cameras = Cameras::new(exact(), 1);
     let next = |cameras: &mut Cameras| {
-        let time_us = cameras.next_exposure_us();
+        let time_us = cameras.next_exposure_us;
         cameras.expose(&Truth {
             time_us,
             ..Truth::default()
         });
         cameras.take_frame(u64::MAX).unwrap()
     };
-    cameras.faults_mut().jump_m = [0.5, 0.0, 0.0];
+    cameras.faults.jump_m = [0.5, 0.0, 0.0];
     let car = next(&mut cameras).bodies[2];
     assert!(car.tracking_valid() && (car.position_m[0] - 0.5).abs() < 1e-6);
-    *cameras.faults_mut() = CameraFaults {
+    cameras.faults = CameraFaults {
         swapped: true,
         ..CameraFaults::default()
     };
     let bodies = next(&mut cameras).bodies;
     assert_eq!((bodies[0].id, bodies[2].id), (11, 3));
-    *cameras.faults_mut() = CameraFaults {
+    cameras.faults = CameraFaults {
         not_a_number: true,
         ..CameraFaults::default()
     };
@@ -163,8 +163,8 @@ fn driven(change: impl FnOnce(&mut CameraParameters)) -> (Cameras, Vec<CameraFra
     let mut parameters = exact();
     change(&mut parameters);
     let mut cameras = Cameras::new(parameters, 1);
-    while cameras.next_exposure_us() < 2_000_000 {
-        let time_us = cameras.next_exposure_us();
+    while cameras.next_exposure_us < 2_000_000 {
+        let time_us = cameras.next_exposure_us;
         cameras.expose(&Truth {
             time_us,
             x: time_us as f64 * 1e-6,
@@ -267,7 +267,7 @@ fn nothing_timed_happens_before_its_epoch() {
     );
     let mut half = |epoch| {
         cameras.set_epoch(epoch);
-        let time_us = cameras.next_exposure_us();
+        let time_us = cameras.next_exposure_us;
         cameras.expose(&Truth {
             time_us,
             ..Truth::default()

@@ -116,7 +116,7 @@ pub(crate) struct HandledMotion {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Hands {
     /// Height of the stand on which the car is, in m; zero on the floor.
-    stand: f64,
+    pub(crate) stand: f64,
     under_way: Option<UnderWay>,
 }
 
@@ -175,11 +175,6 @@ impl Hands {
             Some(motion) => motion.place.height > 0.0,
             None => self.stand > 0.0 && !self.is_busy(),
         }
-    }
-
-    /// Height of the stand, in m.
-    pub(crate) const fn stand(&self) -> f64 {
-        self.stand
     }
 
     /// Speed and acceleration of the wheels of a car that is being rolled, in m/s and m/s².

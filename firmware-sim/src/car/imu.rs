@@ -87,7 +87,6 @@ impl ImuParameters {
     }
 
     /// The registers `CALIB_STAT`, `ST_RESULT`, `SYS_STATUS` and `SYS_ERR`.
-    #[must_use]
     pub const fn registers(&self) -> [u8; 4] {
         let [system, gyroscope, accelerometer] = self.calibration;
         let calibration = (system & 3) << 6 | (gyroscope & 3) << 4 | (accelerometer & 3) << 2;
@@ -229,7 +228,8 @@ pub(crate) struct Imu {
     gyro_random: Random,
     acceleration_random: Random,
     attitude_random: Random,
-    gyro_bias: [f64; 3],
+    /// Constant bias plus random walk of the angular velocity, in rad/s.
+    pub(crate) gyro_bias: [f64; 3],
     acceleration_bias: [f64; 3],
     yaw_drift: f64,
     mounting: Option<Rotation>,
@@ -269,11 +269,6 @@ impl Imu {
     pub(crate) const fn restart(&mut self) {
         self.leaked = [0.0; 2];
         self.last = None;
-    }
-
-    /// Constant bias plus random walk of the angular velocity, in rad/s.
-    pub(crate) const fn gyro_bias(&self) -> [f64; 3] {
-        self.gyro_bias
     }
 
     /// Takes a sample; call it once per period.

@@ -118,7 +118,6 @@ impl Truth {
     /// The point P, `point_distance_m` beyond the front axle in the direction
     /// of the front wheels, when the front axle is `front_axle_distance_m`
     /// ahead of G: x and y in m.
-    #[must_use]
     pub fn point_p(&self, front_axle_distance_m: f64, point_distance_m: f64) -> [f64; 2] {
         let (sin_yaw, cos_yaw) = sincos(self.yaw);
         let (sin_course, cos_course) = sincos(self.yaw + self.steering);
@@ -190,7 +189,6 @@ section! {
 
 impl ServoParameters {
     /// Target angle of a pulse, in rad, within the mechanical stops.
-    #[must_use]
     pub fn target(&self, pulse_us: u16) -> f64 {
         self.angle(f64::from(pulse_us))
     }
@@ -224,7 +222,6 @@ impl ServoParameters {
     }
 
     /// Steering rate towards a target, in rad/s.
-    #[must_use]
     pub fn rate(&self, steering: f64, target: f64) -> f64 {
         ((target - steering) / self.lag_s).clamp(-self.max_rate_rad_s, self.max_rate_rad_s)
     }
@@ -236,7 +233,6 @@ pub const WIDE_US: [f64; 2] = [500.0, 2_500.0];
 /// Pairs of pulse in µs and angle in rad between two pulses, for steering that differs from a line
 /// with this centre in µs and gain in µs/rad: the wheels turn farther to the left by a fraction,
 /// as much less far to the right, and there is a dead band of a width in µs.
-#[must_use]
 pub fn crooked_steering(
     [centre_us, gain_us_per_rad]: [f64; 2],
     [first_us, last_us]: [f64; 2],

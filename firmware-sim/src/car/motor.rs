@@ -31,7 +31,6 @@ pub enum EscKind {
 
 impl EscKind {
     /// Time without pulses after which an ESC of this kind releases the motor, in µs.
-    #[must_use]
     pub const fn signal_loss_us(self) -> u64 {
         match self {
             Self::Vesc => 1_000_000,
@@ -139,7 +138,7 @@ pub(crate) struct SpeedController {
     neutral_since_us: Option<u64>,
     armed: bool,
     reverse_ready: bool,
-    drive: MotorAction,
+    pub(crate) drive: MotorAction,
     /// Number and sum of the pulses from which neutral is learned, in µs.
     learned: u32,
     learned_sum_us: u32,
@@ -158,10 +157,6 @@ impl SpeedController {
             learned: 0,
             learned_sum_us: 0,
         }
-    }
-
-    pub(crate) const fn drive(&self) -> MotorAction {
-        self.drive
     }
 
     pub(crate) const fn is_armed(&self) -> bool {

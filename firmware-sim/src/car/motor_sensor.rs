@@ -81,7 +81,7 @@ pub(crate) struct MotorSensor {
     remainder_m: f64,
     /// Number of possible pulses so far.
     possible: u64,
-    pulses: MotorPulses,
+    pub(crate) pulses: MotorPulses,
     interference: Interference,
 }
 
@@ -152,10 +152,6 @@ impl MotorSensor {
         });
     }
 
-    pub(crate) const fn pulses(&self) -> MotorPulses {
-        self.pulses
-    }
-
     /// Adds `travel_m` of wheel travel (either direction) from `start_us` to
     /// `end_us`, at a constant speed.
     pub(crate) fn roll(
@@ -217,7 +213,7 @@ mod tests {
                 (step + 1) * 1000,
             );
         }
-        sensor.pulses()
+        sensor.pulses
     }
 
     #[test]
@@ -249,7 +245,7 @@ mod tests {
     fn the_time_is_that_of_the_last_pulse_in_a_step() {
         let mut sensor = MotorSensor::default();
         sensor.roll(&SENSOR, MotorSensorFault::None, 0.010, 0, 1000);
-        let pulses = sensor.pulses();
+        let pulses = sensor.pulses;
         assert_eq!((pulses.count, pulses.last_us), (3, Some(900)));
     }
 
@@ -266,7 +262,7 @@ mod tests {
                 for step in 0..20_000_000 / step_us {
                     sensor.interfere(&p, driven, step * step_us, (step + 1) * step_us);
                 }
-                let count = sensor.pulses().count;
+                let count = sensor.pulses.count;
                 // Four standard deviations.
                 let room = (4.0 * f64::from(expected).sqrt()) as u16;
                 assert!(count.abs_diff(expected) < room, "{count} of {expected}");
@@ -283,7 +279,7 @@ mod tests {
         let mut sensor = MotorSensor::default();
         sensor.roll(&p, MotorSensorFault::None, 0.003, 0, 1000);
         assert_eq!(
-            sensor.pulses(),
+            sensor.pulses,
             MotorPulses {
                 count: 4,
                 last_us: Some(1000)

@@ -29,7 +29,8 @@ const MAX_STEP_US: u64 = 1_050;
 /// The car: maps pulses to motion and sensor signals.
 #[derive(Clone, Debug)]
 pub struct Car {
-    parameters: CarParameters,
+    /// The parameters.
+    pub parameters: CarParameters,
     model: RelaxedSingleTrack,
     now_us: u64,
     state: CarState,
@@ -83,7 +84,6 @@ struct StepInputs {
 impl Car {
     /// A car at rest at its start pose at simulation time zero, with straight
     /// wheels and an ESC that has just been powered.
-    #[must_use]
     pub fn new(parameters: CarParameters) -> Self {
         let mut car = Self {
             model: parameters.model(),
@@ -117,12 +117,6 @@ impl Car {
             .draw(&car.parameters.battery, false, 0.0, 0.0, 0.0);
         car.place(car.parameters.start);
         car
-    }
-
-    /// The parameters.
-    #[must_use]
-    pub const fn parameters(&self) -> &CarParameters {
-        &self.parameters
     }
 
     /// Places the car at rest with straight wheels. Pulses within the dead times
@@ -161,25 +155,21 @@ impl Car {
     }
 
     /// Whether a motion by hand is under way.
-    #[must_use]
     pub const fn is_in_motion_by_hand(&self) -> bool {
         self.hands.is_busy()
     }
 
     /// Whether the wheels are off the floor.
-    #[must_use]
     pub fn wheels_are_up(&self) -> bool {
         self.hands.wheels_are_up(self.now_us)
     }
 
     /// Whether the ESC drives the motor, in either direction.
-    #[must_use]
     pub fn motor_is_driven(&self) -> bool {
         self.is_driven()
     }
 
     /// Whether the servo pushes against a mechanical stop: it buzzes.
-    #[must_use]
     pub fn servo_strains(&self) -> bool {
         let servo = &self.parameters.servo;
         servo.free_angle(self.servo_held_us).abs() > servo.stop_rad + 0.01
@@ -242,7 +232,6 @@ impl Car {
 
     /// Whether the ESC has power: switched on, not restarting, and its relay held, if it
     /// has one.
-    #[must_use]
     pub const fn esc_has_power(&self) -> bool {
         self.esc_is_switched_on
             && self.battery.is_plugged()
@@ -251,7 +240,6 @@ impl Car {
     }
 
     /// Whether the supply of servo and IMU has failed.
-    #[must_use]
     pub const fn supply_dips(&self) -> bool {
         self.happened.supply_dips
     }
@@ -266,7 +254,7 @@ impl Car {
     /// What the ESC does to the motor.
     fn drive(&self) -> MotorAction {
         if self.esc_has_power() {
-            self.happened.throttle.unwrap_or_else(|| self.esc.drive())
+            self.happened.throttle.unwrap_or(self.esc.drive)
         } else {
             MotorAction::Free
         }
@@ -294,7 +282,7 @@ impl Car {
             supply_dips: epoch.is_within(p.battery.dip_at_s, p.battery.dip_ms, now_us),
             esc_reboots: epoch.is_within(p.motor.reboot_at_s, p.motor.reboot_ms, now_us),
             throttle: if epoch.has_come(p.motor.stuck_from_s, now_us) {
-                was.throttle.or(Some(self.esc.drive()))
+                was.throttle.or(Some(self.esc.drive))
             } else {
                 None
             },
@@ -371,13 +359,11 @@ impl Car {
     }
 
     /// The motor pulses so far.
-    #[must_use]
     pub fn motor_pulses(&self) -> MotorPulses {
-        self.sensor.pulses()
+        self.sensor.pulses
     }
 
     /// Whether the ESC has been at neutral long enough to drive.
-    #[must_use]
     pub const fn esc_is_armed(&self) -> bool {
         self.esc.is_armed()
     }
@@ -407,7 +393,6 @@ impl Car {
     }
 
     /// The present ground truth.
-    #[must_use]
     pub fn truth(&self) -> Truth {
         let CarState {
             track,
@@ -438,7 +423,7 @@ impl Car {
             roll,
             pitch,
             held: self.hands.holds(),
-            height: self.hands.stand(),
+            height: self.hands.stand,
             roll_rate: 0.0,
             pitch_rate: 0.0,
         };

@@ -71,7 +71,7 @@ fn a_step_to_0_4_m_s_settles_within_a_second() {
         let mut config = seeded(seed);
         config.car.battery.start_v = battery_v;
         let mut bench = armed(config);
-        let start = bench.world.now_us();
+        let start = bench.world.now_us;
         let mut fastest = 0.0_f64;
         bench.drive(400, 400, 0, |bench| {
             let truth = bench.world.truth();
@@ -151,11 +151,11 @@ fn telemetry_agrees_with_ground_truth() {
 #[test]
 fn telemetry_comes_at_100_hz_of_a_skewed_clock() {
     let mut bench = armed(seeded(1));
-    let (start, records) = (bench.world.now_us(), bench.host.records);
+    let (start, records) = (bench.world.now_us, bench.host.records);
     bench.drive(1_000, 300, 0, |_| {});
     assert_eq!(bench.host.mode(), Some(BoardMode::Driving));
     let ticks = bench.host.records - records;
-    let elapsed = bench.world.now_us() - start;
+    let elapsed = bench.world.now_us - start;
     assert_eq!(elapsed, 10_000_000);
     assert!((1_002..=1_004).contains(&ticks), "{ticks}");
 }
@@ -168,12 +168,12 @@ fn after_the_last_command_the_neutral_pulse_leaves_within_120_ms() {
         bench.run_ms(extra_ms);
         let command = bench.host.drive(400, 1_000);
         bench.send(&command);
-        let last_us = bench.world.now_us();
+        let last_us = bench.world.now_us;
         bench.run_ms(500);
         let neutral = bench
             .world
-            .board()
-            .pulses()
+            .board
+            .pulses
             .neutral_from(last_us, 1_500, DEADBAND_US)
             .unwrap();
         let after = neutral.time_us - last_us;
@@ -188,23 +188,23 @@ fn after_the_last_command_the_neutral_pulse_leaves_within_120_ms() {
 fn a_queue_released_by_a_stuck_line_does_not_drive() {
     let mut bench = armed(seeded(1));
     bench.drive(50, 400, 0, |_| {});
-    bench.world.wire_mut().faults_mut().stuck = true;
+    bench.world.wire.faults.stuck = true;
     for _ in 0..976 {
         let command = bench.host.drive(600, 0);
         bench.send(&command);
         bench.run_ms(10);
     }
     assert_eq!(bench.world.truth().wheel_speed, 0.0);
-    let released = bench.world.now_us();
-    bench.world.wire_mut().faults_mut().stuck = false;
+    let released = bench.world.now_us;
+    bench.world.wire.faults.stuck = false;
     bench.run_ms(3_000);
-    assert_eq!(bench.world.wire().bytes_to_board(), 0);
+    assert_eq!(bench.world.wire.bytes_to_board(), 0);
     assert_eq!(bench.world.truth().wheel_speed, 0.0);
     assert!(
         bench
             .world
-            .board()
-            .pulses()
+            .board
+            .pulses
             .iter()
             .filter(|pulse| pulse.time_us >= released)
             .all(|pulse| pulse.esc_us == 1_500)
@@ -220,7 +220,7 @@ fn a_dead_motor_sensor_stops_the_car() {
     bench.drive(100, 400, 0, |_| {});
     bench
         .world
-        .car_mut()
+        .car
         .set_motor_sensor_fault(MotorSensorFault::Gone);
     let mut fastest = 0.0_f64;
     bench.drive(100, 400, 0, |bench| {
@@ -241,37 +241,37 @@ fn the_pins_are_silent_through_the_bootloader_and_the_board_greets_after_it() {
     bench.drive(50, 400, 0, |_| {});
     bench.host.hellos.clear();
     bench.world.reset_board(ResetCause::External);
-    let reset_us = bench.world.now_us();
+    let reset_us = bench.world.now_us;
     bench.drive(70, 400, 0, |_| {});
-    assert!(!bench.world.board().is_running());
-    assert_eq!(bench.world.board().pulses().last().unwrap().esc_us, 0);
+    assert!(!bench.world.board.is_running());
+    assert_eq!(bench.world.board.pulses.last().unwrap().esc_us, 0);
     assert_eq!(bench.world.truth().wheel_speed, 0.0);
     bench.drive(250, 400, 0, |_| {});
-    assert!(bench.world.board().is_running());
+    assert!(bench.world.board.is_running());
     assert_eq!(bench.host.hellos.first().unwrap().nonce, UNSOLICITED);
     assert!(
         bench
             .world
-            .board()
-            .pulses()
+            .board
+            .pulses
             .iter()
             .filter(|pulse| pulse.time_us >= reset_us)
             .all(|pulse| pulse.servo_us == 0 && (pulse.esc_us == 1_500 || pulse.esc_us == 0))
     );
-    assert_eq!(bench.world.board().resets(), 1);
+    assert_eq!(bench.world.board.resets, 1);
 }
 
 #[test]
 fn a_hung_main_loop_is_stopped_by_the_supervisor() {
     let mut bench = armed(seeded(1));
     bench.drive(50, 400, 0, |_| {});
-    bench.world.board_mut().hang(Hang::MainLoop);
-    let hung_us = bench.world.now_us();
+    bench.world.board.hang(Hang::MainLoop);
+    let hung_us = bench.world.now_us;
     bench.drive(100, 400, 0, |_| {});
     let neutral = bench
         .world
-        .board()
-        .pulses()
+        .board
+        .pulses
         .neutral_from(hung_us, 1_500, DEADBAND_US)
         .unwrap();
     assert!(neutral.time_us - hung_us <= 45_000);
@@ -281,7 +281,7 @@ fn a_hung_main_loop_is_stopped_by_the_supervisor() {
 #[test]
 fn half_a_percent_of_corrupted_bytes_is_tolerated_and_counted() {
     let mut bench = armed(seeded(1));
-    *bench.world.wire_mut().faults_mut() = WireFaults {
+    bench.world.wire.faults = WireFaults {
         corrupt: 0.005,
         ..WireFaults::default()
     };
@@ -309,7 +309,7 @@ fn arming_is_refused_before_neutral_has_been_held() {
 fn both_pulses_come_every_20_ms_of_board_time() {
     let mut bench = armed(seeded(1));
     bench.run_ms(1_000);
-    let pulses: Vec<_> = bench.world.board().pulses().iter().copied().collect();
+    let pulses: Vec<_> = bench.world.board.pulses.iter().copied().collect();
     for pair in pulses.windows(2) {
         let period = pair[1].board_time_us - pair[0].board_time_us;
         assert!(period.abs_diff(SERVO_FRAME_US as u32) <= 1, "{period}");

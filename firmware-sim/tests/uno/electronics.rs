@@ -106,7 +106,7 @@ fn a_hung_main_loop_drops_the_kill_output_within_21_ms() {
         let mut drive = asked_to_arm(simulation, configuration);
         drive.run_ms(2_100);
         drive.drive(100, 400, 0, |_| {});
-        drive.world.board_mut().hang(hang);
+        drive.world.board.hang(hang);
         let held_ms = (0..200)
             .find(|_| {
                 drive.run_ms(1);
@@ -143,7 +143,7 @@ fn an_emergency_stop_falls_silent_on_the_pin_and_stays_so_when_the_main_loop_han
             .all(|pulse| pulse.esc_us == 0 && pulse.servo_us != 0)
     );
     assert_eq!(drive.host.telemetry.unwrap().esc_us, 0);
-    drive.world.board_mut().hang(Hang::MainLoop);
+    drive.world.board.hang(Hang::MainLoop);
     let hung_us = drive.world.now_us();
     drive.run_ms(60);
     let pulses = pulses_since(&drive, hung_us);

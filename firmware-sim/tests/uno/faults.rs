@@ -27,7 +27,7 @@ fn a_hung_main_loop_gives_neutral_within_45_ms_and_a_reset_within_110() {
     for phase_ms in 0..20 {
         let mut drive = driving(1);
         drive.run_ms(phase_ms);
-        drive.world.board_mut().hang(Hang::MainLoop);
+        drive.world.board.hang(Hang::MainLoop);
         let hung_us = drive.world.now_us();
         let (mut reset_us, mut ticks) = (None, 0);
         while reset_us.is_none() {
@@ -57,7 +57,7 @@ fn a_hung_main_loop_gives_neutral_within_45_ms_and_a_reset_within_110() {
 fn a_watchdog_reset_is_reported_and_requires_arming() {
     let mut drive = driving(1);
     drive.host.hellos.clear();
-    drive.world.board_mut().hang(Hang::MainLoop);
+    drive.world.board.hang(Hang::MainLoop);
     let hung_us = drive.world.now_us();
     // A host that has not noticed keeps sending commands for ten seconds.
     drive.drive(1_000, 400, 500, |_| {});
@@ -83,7 +83,7 @@ fn a_watchdog_reset_is_reported_and_requires_arming() {
 #[test]
 fn with_interrupts_disabled_the_watchdog_ends_the_drive() {
     let mut drive = driving(1);
-    drive.world.board_mut().hang(Hang::Everything);
+    drive.world.board.hang(Hang::Everything);
     let hung_us = drive.world.now_us();
     drive.drive(30, 400, 500, |_| {});
     assert_eq!(drive.world.board().resets(), 1);
@@ -97,7 +97,7 @@ fn a_pulse_guard_without_ticks_or_pulses_is_reset_however_often_the_host_asks_to
     // Nobody writes that to the timer.
     for hang in [Hang::Ticks, Hang::Pulses] {
         let mut drive = driving(1);
-        drive.world.board_mut().hang(hang);
+        drive.world.board.hang(hang);
         let hung_us = drive.world.now_us();
         let mut reset_ms = None;
         for ms in (0..1_000).step_by(10) {
@@ -169,7 +169,7 @@ fn only_resets_cut_pulses_below_the_limits() {
 
         let mut drive = driving(1);
         drive.run_ms(phase_ms);
-        drive.world.board_mut().hang(Hang::Everything);
+        drive.world.board.hang(Hang::Everything);
         drive.drive(30, 400, 500, |_| {});
         assert_eq!(drive.world.board().resets(), 1);
         cut_by_watchdog += cut_by_resets(&drive);
@@ -208,7 +208,7 @@ fn the_imu_recovers_from_every_bus_fault_while_driving() {
         let mut drive = driving(1);
         assert_eq!(drive.host.telemetry.unwrap().imu, ImuState::Fresh);
         let errors = drive.host.status.unwrap().imu_errors;
-        drive.world.board_mut().set_imu_bus(fault);
+        drive.world.board.set_imu_bus(fault);
         let mut silent = false;
         drive.drive(30, 400, 500, |drive| {
             silent |= drive.host.telemetry.unwrap().imu == ImuState::Silent;
@@ -216,7 +216,7 @@ fn the_imu_recovers_from_every_bus_fault_while_driving() {
         assert!(silent || fault == BusFault::Jammed, "{fault:?}");
         // The board must free a jammed bus by itself.
         if fault != BusFault::Jammed {
-            drive.world.board_mut().set_imu_bus(BusFault::None);
+            drive.world.board.set_imu_bus(BusFault::None);
         }
         drive.drive(200, 400, 500, |_| {});
         assert_eq!(drive.host.mode(), Some(BoardMode::Driving), "{fault:?}");
@@ -237,7 +237,7 @@ fn the_imu_recovers_from_every_bus_fault_while_driving() {
 #[test]
 fn a_short_circuited_bus_loses_only_the_imu() {
     let mut drive = armed(config(1));
-    drive.world.board_mut().set_imu_bus(BusFault::ShortCircuit);
+    drive.world.board.set_imu_bus(BusFault::ShortCircuit);
     drive.drive(500, 400, 500, |_| {});
     assert_eq!(drive.host.telemetry.unwrap().imu, ImuState::Silent);
     assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
@@ -284,7 +284,7 @@ fn one_percent_of_bit_errors_gives_no_wrong_pulse_and_no_reset() {
     // A third of the commands arrive; most of them are too old because little of
     // the telemetry arrives, and the car stands most of the time.
     let begin_us = drive.world.now_us();
-    *drive.world.wire_mut().faults_mut() = WireFaults {
+    drive.world.wire.faults = WireFaults {
         corrupt: 0.08,
         ..WireFaults::default()
     };
@@ -296,7 +296,7 @@ fn one_percent_of_bit_errors_gives_no_wrong_pulse_and_no_reset() {
         }
     }
     assert!(drive.host.damaged > 1_000, "{}", drive.host.damaged);
-    *drive.world.wire_mut().faults_mut() = WireFaults::default();
+    drive.world.wire.faults = WireFaults::default();
     let end_us = drive.world.now_us();
     assert!(end_us - begin_us >= 60_000_000);
     // The link recovers within 100 ms in both directions.
@@ -378,7 +378,7 @@ fn random_bytes_at_the_full_baud_rate_cause_no_overrun_and_stop_the_car() {
 #[test]
 fn a_hung_board_counts_lost_bytes() {
     let mut drive = driving(1);
-    drive.world.board_mut().hang(Hang::Everything);
+    drive.world.board.hang(Hang::Everything);
     drive.world.host_write(&[0; 50]);
     drive.run_ms(20);
     // Two bytes in the receiver's buffer, one in its shift register.
@@ -394,7 +394,7 @@ fn a_configured_stop_switch_gives_neutral_at_once() {
     drive.prepare();
     drive.drive(100, 400, 0, |_| {});
     assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
-    drive.world.board_mut().set_stop_input_open(true);
+    drive.world.board.set_stop_input_open(true);
     let opened_us = drive.world.now_us();
     drive.drive(20, 400, 0, |_| {});
     assert_eq!(drive.host.mode(), Some(BoardMode::EmergencyStopped));

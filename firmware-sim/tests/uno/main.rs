@@ -142,10 +142,10 @@ fn the_program_reports_a_dead_image_process_and_ends() {
 #[test]
 fn a_drive_at_100_hz_leaves_80_percent_of_the_processor_and_600_bytes_of_memory() {
     let mut drive = armed(config(1));
-    let before = drive.world.board_mut().figures().unwrap();
+    let before = drive.world.board.figures().unwrap();
     drive.drive(1_000, 400, 800, |_| {});
     assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
-    let after = drive.world.board_mut().figures().unwrap();
+    let after = drive.world.board.figures().unwrap();
     let cycles = after.cycles - before.cycles;
     // Ten seconds with an oscillator error of up to 0.5 %.
     assert!(cycles.abs_diff(160_000_000) < 1_000_000, "{cycles}");

@@ -26,7 +26,6 @@ pub struct Actuators {
 
 impl Actuators {
     /// Straight wheels, and the ESC at neutral. The configuration must be valid.
-    #[must_use]
     pub fn new(configuration: Configuration) -> Self {
         let mut steering = Steering::new();
         steering.configure(&configuration.servo);
@@ -73,7 +72,6 @@ impl Actuators {
     }
 
     /// The pulses of servo and ESC, in µs.
-    #[must_use]
     pub fn pulses_us(&self) -> [u16; 2] {
         [
             self.steering.pulse_us().unwrap_or(0),

@@ -51,7 +51,6 @@ struct Active {
 
 impl Board {
     /// A board that has just started, built into the car `car_id`.
-    #[must_use]
     pub const fn new(reset_cause: ResetCause, software_version: [u8; 3], car_id: u16) -> Self {
         Self {
             last_poll_us: None,
@@ -116,7 +115,6 @@ impl Board {
     }
 
     /// The present outputs for the pins.
-    #[must_use]
     pub fn outputs(&self) -> Outputs {
         Outputs {
             servo_us: self.steering.pulse_us(),
@@ -128,33 +126,28 @@ impl Board {
     }
 
     /// State of the safety state machine.
-    #[must_use]
     pub const fn mode(&self) -> BoardMode {
         self.safety.mode()
     }
 
     /// Cause of the last stop.
-    #[must_use]
     pub const fn stop_cause(&self) -> StopCause {
         self.safety.cause()
     }
 
     /// Sequence number of the last accepted [`singletrack_protocol::Drive`]; zero
     /// before the first.
-    #[must_use]
     pub const fn last_sequence(&self) -> Sequence {
         self.safety.last_sequence()
     }
 
     /// The configuration in force.
-    #[must_use]
     pub fn configuration(&self) -> Option<&Configuration> {
         self.active.as_ref().map(|active| &active.configuration)
     }
 
     /// Speed measured from the motor pulses, in mm/s, signed by the direction
     /// driven; zero without a configuration.
-    #[must_use]
     pub fn motor_speed_mm_s(&self) -> i16 {
         let magnitude = self.odometer.speed_mm_s();
         if self.esc.is_reverse() {

@@ -171,7 +171,6 @@ const SILENCE_US: u32 = 50_000;
 
 /// The registers `AXIS_MAP_CONFIG` and `AXIS_MAP_SIGN` of a BNO055 that is mounted like
 /// this: they turn all of its values to the car's axes.
-#[must_use]
 pub const fn axis_map(axes: ImuAxes) -> [u8; 2] {
     let ImuAxes { forward, left, up } = axes;
     [

@@ -18,7 +18,6 @@ pub struct ClockOffset {
 
 impl ClockOffset {
     /// The daemon's time at `client_ns` of the client's.
-    #[must_use]
     pub const fn daemon_ns(&self, client_ns: u64) -> u64 {
         client_ns.saturating_add_signed(self.offset_ns)
     }

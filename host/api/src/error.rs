@@ -62,7 +62,6 @@ pub enum ClientError {
 
 impl ClientError {
     /// The daemon at `path` has not answered within `patience`.
-    #[must_use]
     pub fn silent(path: &Path, patience: Duration) -> Self {
         Self::Silent {
             path: path.to_owned(),

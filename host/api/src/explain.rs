@@ -9,7 +9,6 @@ use singletrack_settings::{expected, kind, list, quoted_after, shortened};
 ///
 /// `tags` are the keys that say which others there are, such as `kind`. `within` precedes the names
 /// of the keys.
-#[must_use]
 pub fn explain<T: DeserializeOwned>(
     keys: &Map<String, Value>,
     tags: &[&str],

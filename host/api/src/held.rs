@@ -20,7 +20,6 @@ pub struct HeldDrive {
 
 impl HeldDrive {
     /// Holds what `connection` arms, or has armed, with a renewal every `interval`.
-    #[must_use]
     pub fn new(connection: Connection, interval: Duration) -> Self {
         Self {
             connection,

@@ -43,7 +43,8 @@ struct Head {
 #[derive(Debug)]
 pub struct MessageStream {
     read: BufReader<UnixStream>,
-    clocks: Clocks,
+    /// The daemon's clocks when its record began.
+    pub clocks: Clocks,
     line: Vec<u8>,
     topic: String,
     bytes: Vec<u8>,
@@ -76,12 +77,6 @@ impl MessageStream {
             topic: String::new(),
             bytes: Vec::new(),
         })
-    }
-
-    /// The daemon's clocks when its record began.
-    #[must_use]
-    pub const fn clocks(&self) -> Clocks {
-        self.clocks
     }
 
     /// Waits for what comes next.
@@ -153,7 +148,7 @@ mod tests {
             monotonic_ns: 1,
             wall_ns: 2,
         };
-        assert_eq!(stream.clocks(), clocks);
+        assert_eq!(stream.clocks, clocks);
         let message = |topic, bytes| Received::Message(Message { topic, bytes });
         assert_eq!(
             stream.receive().unwrap(),

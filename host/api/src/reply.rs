@@ -217,7 +217,6 @@ pub struct TuningBounds {
 
 impl Answer {
     /// The request is obeyed.
-    #[must_use]
     pub fn done() -> Self {
         Self {
             ok: true,
@@ -227,7 +226,6 @@ impl Answer {
     }
 
     /// The request is refused.
-    #[must_use]
     pub fn refusal(refused: Refused) -> Self {
         Self {
             ok: false,
@@ -238,7 +236,6 @@ impl Answer {
     }
 
     /// The request is refused, with this text.
-    #[must_use]
     pub fn failure(code: Code, text: impl fmt::Display) -> Self {
         Self::refusal(Refused::new(code, text))
     }

@@ -137,7 +137,6 @@ pub enum Gain {
 
 impl Gain {
     /// Along x and y.
-    #[must_use]
     pub const fn each(self) -> [f64; 2] {
         match self {
             Self::Both(gain) => [gain, gain],

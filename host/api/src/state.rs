@@ -86,7 +86,6 @@ pub struct SetpointInForce {
 
 impl State {
     /// The tuned values in force; `None` if nothing can be tuned.
-    #[must_use]
     pub fn tuning(&self) -> Option<Tuning> {
         Some(Tuning {
             gain_per_s: self.gain_per_s,

@@ -70,7 +70,6 @@ pub struct Calibration {
 
 impl Calibration {
     /// The advice in one line; `None` if nothing is wrong.
-    #[must_use]
     pub fn line(&self) -> Option<String> {
         let accept = match self.corrections.as_slice() {
             [] => "",
@@ -150,7 +149,6 @@ pub struct Tunable {
 
 impl Status {
     /// Mode of the pilot; `disconnected` before the first tick.
-    #[must_use]
     pub fn mode(&self) -> &str {
         self.state
             .as_ref()
@@ -158,26 +156,22 @@ impl Status {
     }
 
     /// Why the car does not drive, or stopped.
-    #[must_use]
     pub fn reason(&self) -> Option<&str> {
         self.state.as_ref()?.reason.as_deref()
     }
 
     /// Why an arm request would be refused now.
-    #[must_use]
     pub fn preflight(&self) -> Option<&str> {
         self.state.as_ref()?.preflight.as_deref()
     }
 
     /// What an operator must know of the record before a drive; `None` if all is well with it.
-    #[must_use]
     pub fn record_trouble(&self) -> Option<String> {
         record_trouble(self.record_error.as_deref(), self.record_warning.as_deref())
     }
 }
 
 /// What an operator must know of a record that has ended with this error, or soon will, in words.
-#[must_use]
 pub fn record_trouble(error: Option<&str>, warning: Option<&str>) -> Option<String> {
     let ended = error.map(|error| format!("nothing is recorded: {error}"));
     ended.or_else(|| warning.map(str::to_owned))

@@ -274,7 +274,6 @@ pub struct Question {
 
 impl Question {
     /// With a text that never changes.
-    #[must_use]
     pub const fn new(id: &'static str, text: &'static str, answers: Answers) -> Self {
         Self {
             id,
@@ -284,7 +283,6 @@ impl Question {
     }
 
     /// With [`Answers::Begin`].
-    #[must_use]
     pub const fn begin(id: &'static str, text: &'static str) -> Self {
         Self::new(id, text, Answers::Begin)
     }

@@ -120,25 +120,21 @@ impl Edit {
     }
 
     /// Whether a value has changed.
-    #[must_use]
     pub fn is_changed(&self) -> bool {
         self.old != self.new
     }
 
     /// The text with the new values.
-    #[must_use]
     pub fn text(&self) -> &str {
         &self.new
     }
 
     /// Whether a key is written with this value.
-    #[must_use]
     pub fn has(&self, key: &str, value: &Value) -> bool {
         is_set(&self.new, key, value)
     }
 
     /// The change from the old text of this one to the new text of a later one.
-    #[must_use]
     pub fn until(&self, later: &Self) -> Self {
         Self {
             old: self.old.clone(),
@@ -172,7 +168,6 @@ impl Edit {
     }
 
     /// What has changed, as a unified diff; empty if nothing has.
-    #[must_use]
     pub fn diff(&self, name: &str) -> String {
         TextDiff::from_lines(&*self.old, &*self.new)
             .unified_diff()

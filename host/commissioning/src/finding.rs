@@ -158,7 +158,6 @@ pub enum Verdict {
 
 impl Verdict {
     /// Its name in reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Good => "good",
@@ -182,7 +181,6 @@ pub struct Interval {
 
 impl Interval {
     /// A symmetric interval.
-    #[must_use]
     pub fn around(value: f64, half_width: f64) -> Self {
         Self {
             value,
@@ -192,7 +190,6 @@ impl Interval {
     }
 
     /// An interval with these ends, in either order.
-    #[must_use]
     pub fn between(value: f64, [one, other]: [f64; 2]) -> Self {
         Self {
             value,
@@ -202,19 +199,16 @@ impl Interval {
     }
 
     /// Half of its width.
-    #[must_use]
     pub fn half_width(&self) -> f64 {
         (self.high - self.low) / 2.0
     }
 
     /// Whether a value lies in it.
-    #[must_use]
     pub fn contains(&self, value: f64) -> bool {
         (self.low..=self.high).contains(&value)
     }
 
     /// With an independent error that is within ±`bound` in 95 of 100 cases.
-    #[must_use]
     pub fn widened(&self, bound: f64) -> Self {
         Self {
             value: self.value,
@@ -224,7 +218,6 @@ impl Interval {
     }
 
     /// In another unit, or of the other sign.
-    #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         Self::between(
             self.value * factor,
@@ -233,7 +226,6 @@ impl Interval {
     }
 
     /// Moved by a known distance.
-    #[must_use]
     pub fn shifted(&self, by: f64) -> Self {
         Self {
             value: self.value + by,
@@ -360,7 +352,6 @@ impl Plot {
     }
 
     /// Lines over the time in s.
-    #[must_use]
     pub fn over_time(
         name: &'static str,
         title: &'static str,

@@ -10,7 +10,6 @@ use crate::{BoardReading, Health, Inertial, Observation, PoseReading, TickReadin
 impl Observation {
     /// The observation in an entry of the record, if there is one; of the IMU only what `watch` calls
     /// possible. A change of the line is in two ticks, and in none of them alone.
-    #[must_use]
     pub fn of(entry: &Entry, watch: &WatchSection) -> Option<Self> {
         Some(match entry {
             Entry::Tick(tick) => Self::Tick(TickReading::of(tick)),

@@ -7,7 +7,6 @@ use serde_json::{Value, json};
 use crate::{Finding, Interval, Parameter, Verdict};
 
 /// A finding as JSON.
-#[must_use]
 pub fn to_json(finding: &Finding) -> Value {
     json!(finding)
 }
@@ -30,7 +29,6 @@ pub struct About<'a> {
 }
 
 /// A page in Markdown: findings, measured values, and things to do.
-#[must_use]
 pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
     let mut page = String::new();
     let _ = writeln!(
@@ -94,7 +92,6 @@ pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
 }
 
 /// The number of steps by verdict, in one line.
-#[must_use]
 pub fn summary(findings: &[Finding]) -> String {
     let counts: Vec<String> = [
         Verdict::Good,
@@ -113,7 +110,6 @@ pub fn summary(findings: &[Finding]) -> String {
 }
 
 /// A parameter on one line, with its interval.
-#[must_use]
 pub fn line(parameter: &Parameter) -> String {
     let Interval { value, low, high } = parameter.estimate;
     let digits = digits(parameter.estimate.half_width());

@@ -64,13 +64,11 @@ pub struct Motion {
 
 impl Motion {
     /// Speed of G, negative in reverse, m/s.
-    #[must_use]
     pub fn speed(&self) -> f64 {
         libm::hypot(self.forward, self.left).copysign(self.forward)
     }
 
     /// Sideslip at G, rad: course less yaw, in reverse as well.
-    #[must_use]
     pub fn sideslip(&self) -> f64 {
         let sign = 1.0_f64.copysign(self.forward);
         libm::atan2(sign * self.left, sign * self.forward)
@@ -85,13 +83,12 @@ pub struct Track {
     /// Median of the times between two poses, s.
     pub period: f64,
     /// Half of the time over which the motion is smoothed, s.
-    half: f64,
+    pub half: f64,
     /// The fewest poses in that time.
     fewest: usize,
 }
 
 /// Tells the poses of a drive apart, which are in the order of time.
-#[must_use]
 pub fn tell(poses: &[(Time, CarPose)]) -> Track {
     let mut seen: Vec<Seen> = poses
         .iter()
@@ -223,19 +220,12 @@ impl Track {
     }
 
     /// Poses per second; zero without poses.
-    #[must_use]
     pub fn rate(&self) -> f64 {
         if self.seen.len() < 2 {
             0.0
         } else {
             1.0 / self.period.max(1e-4)
         }
-    }
-
-    /// Half of the time over which the motion is smoothed, s.
-    #[must_use]
-    pub const fn half(&self) -> f64 {
-        self.half
     }
 
     /// The poses that smooth the motion at `time`; none where too few are on either side, or one of
@@ -258,7 +248,6 @@ impl Track {
 
     /// The smoothed motion of the car at `time`: a parabola through the poses around it (what Savitzky
     /// and Golay's filter of second order is for poses at equal times).
-    #[must_use]
     pub fn motion(&self, time: Time) -> Option<Motion> {
         let around = self.around(time)?;
         let Parabolas { x, y, yaw, .. } = Parabolas::through(around, time)?;
@@ -275,7 +264,6 @@ impl Track {
 
     /// How far a pose is from the parabola through those around it, without its own pull on that: x
     /// and y in m, yaw in rad.
-    #[must_use]
     pub fn residual(&self, now: &Seen) -> Option<[f64; 3]> {
         let around = self.around(now.time)?;
         let first = around.first()?.pose;
@@ -291,7 +279,6 @@ impl Track {
 }
 
 /// Stretches of poses of another body: first and last time.
-#[must_use]
 pub fn ghosts_of(seen: impl Iterator<Item = Seen>) -> Vec<[Time; 2]> {
     let mut ghosts: Vec<[Time; 2]> = Vec::new();
     let mut was = false;

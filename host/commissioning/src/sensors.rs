@@ -75,7 +75,6 @@ pub enum Source {
 }
 
 /// All sensors that can be compared, and what is wrong with them: which, what, and the fix.
-#[must_use]
 pub fn compare(
     track: &Track,
     readings: &Readings,
@@ -186,7 +185,7 @@ impl Grid {
         let motions = (0..steps).map(|step| track.motion(first.after(STEP * step as f64)));
         Some(Self {
             begin: first,
-            half: track.half(),
+            half: track.half,
             motions: motions.collect(),
         })
     }

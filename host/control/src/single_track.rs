@@ -423,17 +423,6 @@ impl RelaxedSingleTrack {
         self.axles.vehicle()
     }
 
-    /// Sideslip without tyre slip at a steering angle, in rad.
-    #[must_use]
-    pub fn kinematic_sideslip(&self, steering: f64) -> f64 {
-        self.kinematic_sideslip_of_tangent(tan(steering))
-    }
-
-    fn kinematic_sideslip_of_tangent(&self, tangent: f64) -> f64 {
-        let vehicle = self.vehicle();
-        atan(vehicle.rear_axle_distance_m / vehicle.wheelbase_m() * tangent)
-    }
-
     /// The derivative at a speed of G (m/s, reverse negative) and a steering
     /// angle (rad, left positive).
     #[must_use]
@@ -462,9 +451,10 @@ impl RelaxedSingleTrack {
 
     /// Relaxation of yaw rate and sideslip to rolling without slip.
     fn kinematic(&self, state: &SingleTrackState, speed: f64, steering: f64) -> LateralRate {
+        let vehicle = self.vehicle();
         let tangent = tan(steering);
-        let sideslip = self.kinematic_sideslip_of_tangent(tangent);
-        let yaw_rate = speed * cos(sideslip) * tangent / self.vehicle().wheelbase_m();
+        let sideslip = atan(vehicle.rear_axle_distance_m / vehicle.wheelbase_m() * tangent);
+        let yaw_rate = speed * cos(sideslip) * tangent / vehicle.wheelbase_m();
         LateralRate {
             yaw_rate: (yaw_rate - state.yaw_rate) / RELAXATION_TIME,
             sideslip: (sideslip - state.sideslip) / RELAXATION_TIME,

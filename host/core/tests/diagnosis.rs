@@ -255,7 +255,7 @@ fn rejections_for_alternating_reasons_are_reported_and_not_at_every_change() {
     assert_text(scene.last(), "good", &[]);
     let before = scene.found.len();
     for step in 0..600 {
-        let faults = scene.world.cameras_mut().faults_mut();
+        let faults = &mut scene.world.cameras.faults;
         // No reason lasts for the patience of a second.
         faults.not_a_number = step / 25 % 2 == 0;
         // To and fro, so that no place becomes plausible.

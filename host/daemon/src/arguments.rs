@@ -63,7 +63,6 @@ pub struct Arguments {
 
 impl Arguments {
     /// What is logged without `RUST_LOG`.
-    #[must_use]
     pub const fn log_level(&self) -> LevelFilter {
         match (self.quiet, self.verbose) {
             (true, _) => LevelFilter::WARN,

@@ -12,7 +12,6 @@ use rustix::{
 const SECOND_NS: u64 = 1_000_000_000;
 
 /// The present time, in nanoseconds of `CLOCK_MONOTONIC`.
-#[must_use]
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     nanoseconds(now.tv_sec, now.tv_nsec)

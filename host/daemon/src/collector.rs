@@ -127,7 +127,7 @@ impl Collector {
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
             if tick.output.mode.is_underway() {
                 if let Some(learned) = self.calibration.tick(&tick) {
-                    self.status.latest().learned = self.calibration.in_force();
+                    self.status.latest().learned = self.calibration.in_force;
                     // A stalled loop needs none.
                     let _ = self.requests.push(ControlRequest::Learned(learned));
                 }
@@ -227,7 +227,7 @@ impl Collector {
             }
             self.status.latest().calibration = Some(known);
         }
-        self.status.latest().learned = self.calibration.in_force();
+        self.status.latest().learned = self.calibration.in_force;
         if !mode.is_underway()
             && let Some(warning) = self.noise.end()
         {

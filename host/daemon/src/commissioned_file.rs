@@ -58,7 +58,6 @@ pub(crate) fn subject(config: &Config) -> Result<Subject, ConfigError> {
 
 /// Why the car of this configuration may not be armed; `None` if it may, or need not have
 /// passed anything.
-#[must_use]
 pub fn not_commissioned(config: &Config) -> Option<String> {
     CommissionedFile::load(&config.state.directory).refusal(config)
 }

@@ -338,7 +338,6 @@ impl Daemon {
     }
 
     /// The present status: the last tick, the board, and the figures so far.
-    #[must_use]
     pub fn snapshot(&self) -> Snapshot {
         self.handle.snapshot()
     }
@@ -365,7 +364,6 @@ impl Daemon {
     }
 
     /// The number of the configuration in force, and the last attempt to change it.
-    #[must_use]
     pub fn configuration(&self) -> singletrack_api::Configuration {
         self.handle.reconfigurer.view()
     }
@@ -407,19 +405,16 @@ impl Daemon {
     }
 
     /// Why nothing is recorded, or soon will not be; `None` if all is well with the record.
-    #[must_use]
     pub fn record_trouble(&self) -> Option<String> {
         self.handle.record_trouble()
     }
 
     /// The number of ticks that the control thread has done.
-    #[must_use]
     pub fn ticks(&self) -> u64 {
         self.handle.control.ticks.load(Ordering::Relaxed)
     }
 
     /// The pilot's mode and reason after the last tick; disconnected before the first.
-    #[must_use]
     pub fn mode(&self) -> (Mode, Option<Reason>) {
         let latest = self.handle.status.latest();
         let output = latest.tick.as_ref().map(|tick| &tick.output);
@@ -432,7 +427,6 @@ impl Daemon {
     /// other one by a fault. The daemon is to be [stopped](Self::stop) then: a drive must not go on
     /// without its reader, its cameras or its control socket. A record that can't be written ends
     /// only itself.
-    #[must_use]
     pub fn ended_thread(&self) -> Option<&'static str> {
         if self.handle.control.ended.load(Ordering::Acquire) {
             return Some("control");
@@ -445,7 +439,7 @@ impl Daemon {
         let socket = self.socket.as_ref().map(|socket| &socket.thread);
         ended(&self.reader)
             .or_else(|| ended(&self.receiver))
-            .or_else(|| socket.filter(|it| it.has_ended()).map(NamedThread::name))
+            .or_else(|| socket.filter(|it| it.has_ended()).map(|thread| thread.name))
             .or_else(|| ended(&self.collector))
             .or_else(|| ended(&self.files))
             .or(self.recorder_panicked.then_some("recorder"))
@@ -576,13 +570,13 @@ impl Drop for Daemon {
 /// The name of a thread that has ended.
 fn ended<T>(thread: &Option<NamedThread<T>>) -> Option<&'static str> {
     let thread = thread.as_ref().filter(|thread| thread.has_ended());
-    thread.map(NamedThread::name)
+    thread.map(|thread| thread.name)
 }
 
 /// Waits for the end of a thread; one that has panicked is named in `failed`.
 fn join<T>(thread: Option<NamedThread<T>>, failed: &mut Option<&'static str>) -> Option<T> {
     let thread = thread?;
-    let name = thread.name();
+    let name = thread.name;
     let result = thread.join();
     if result.is_none() {
         failed.get_or_insert(name);
@@ -610,7 +604,7 @@ mod tests {
 
     /// Ends the thread, and puts one that panics in its place.
     fn plant<T: Send + 'static>(place: &mut Option<NamedThread<T>>) {
-        let name = place.take().unwrap().name();
+        let name = place.take().unwrap().name;
         *place = Some(NamedThread::spawn(name, || panic!("planted")).unwrap());
     }
 

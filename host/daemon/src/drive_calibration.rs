@@ -20,7 +20,7 @@ pub(crate) struct DriveCalibration {
     /// Ticks of the drive under way.
     ticks: u32,
     /// What the pilot corrects in the drive under way, if it learns.
-    in_force: Option<Learned>,
+    pub(crate) in_force: Option<Learned>,
 }
 
 /// Interval at which the estimates are computed, in ticks.
@@ -42,12 +42,6 @@ impl DriveCalibration {
             config.is_some_and(|it| it.online_calibration.mode == OnlineCalibrationMode::Live);
         // Every drive begins as the configured car.
         self.in_force = learns.then(|| self.in_force.unwrap_or_default());
-    }
-
-    /// What the pilot corrects in the drive under way: it goes there within a second, and later
-    /// while it doubts its poses. `None` if it does not learn.
-    pub(crate) const fn in_force(&self) -> Option<Learned> {
-        self.in_force
     }
 
     /// Takes a tick of a drive; gives what the pilot is to be told.
@@ -92,18 +86,18 @@ mod tests {
         let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
         let mut drives = DriveCalibration::default();
         drives.begin(1, &Arc::new(config.clone()));
-        assert_eq!(drives.in_force(), None);
+        assert_eq!(drives.in_force, None);
         config.online_calibration.mode = OnlineCalibrationMode::Live;
         let config = Arc::new(config);
         drives.begin(2, &config);
-        assert_eq!(drives.in_force(), Some(Learned::default()));
+        assert_eq!(drives.in_force, Some(Learned::default()));
         drives.in_force = Some(Learned::MOST);
         // The same drive slows down.
         drives.begin(2, &config);
-        assert_eq!(drives.in_force(), Some(Learned::MOST));
+        assert_eq!(drives.in_force, Some(Learned::MOST));
         drives.end();
-        assert_eq!(drives.in_force(), None);
+        assert_eq!(drives.in_force, None);
         drives.begin(2, &config);
-        assert_eq!(drives.in_force(), Some(Learned::default()));
+        assert_eq!(drives.in_force, Some(Learned::default()));
     }
 }

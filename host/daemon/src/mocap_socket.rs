@@ -70,7 +70,6 @@ impl MocapSockets {
     }
 
     /// Whether a stream is being opened, which no file tells.
-    #[must_use]
     pub const fn is_opening(&self) -> bool {
         self.stream.is_opening()
     }

@@ -44,7 +44,8 @@ pub enum NotifyError {
 #[derive(Debug, Default)]
 pub struct ServiceManager {
     peer: Option<(UnixDatagram, SocketAddr)>,
-    watchdog: Option<Duration>,
+    /// The longest time between two signs of life; `None` without a watchdog.
+    pub watchdog: Option<Duration>,
 }
 
 impl ServiceManager {
@@ -92,12 +93,6 @@ impl ServiceManager {
             peer: Some((socket, address)),
             watchdog,
         })
-    }
-
-    /// The longest time between two signs of life; `None` without a watchdog.
-    #[must_use]
-    pub const fn watchdog(&self) -> Option<Duration> {
-        self.watchdog
     }
 
     /// The start, or a reload, is complete.
@@ -166,7 +161,6 @@ pub struct Watchdog {
 
 impl Watchdog {
     /// A watchdog for a manager that allows `interval` between two signs of life.
-    #[must_use]
     pub fn new(interval: Duration) -> Self {
         Self {
             period_ns: u64::try_from(interval.as_nanos() / 2).unwrap_or(u64::MAX),
@@ -247,7 +241,7 @@ mod tests {
                 7,
             )
         };
-        let interval = |manager: Result<ServiceManager, _>| manager.ok()?.watchdog();
+        let interval = |manager: Result<ServiceManager, _>| manager.ok()?.watchdog;
         let two_seconds = Some(Duration::from_secs(2));
         assert_eq!(interval(manager("2000000", None)), two_seconds);
         assert_eq!(interval(manager("2000000", Some("7"))), two_seconds);
@@ -265,7 +259,7 @@ mod tests {
         assert!(
             ServiceManager::new(None, Some("1".into()), None, 7)
                 .unwrap()
-                .watchdog()
+                .watchdog
                 .is_none()
         );
     }

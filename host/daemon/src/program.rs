@@ -17,7 +17,6 @@ use crate::{
 };
 
 /// Runs this command line, whose first word is the program's name.
-#[must_use]
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments = Arguments::parse_from(arguments);
     // Before any thread is started: threads inherit the mask.

@@ -47,7 +47,7 @@ impl Service {
         Self {
             daemon,
             path,
-            watchdog: manager.watchdog().map(Watchdog::new),
+            watchdog: manager.watchdog.map(Watchdog::new),
             manager,
             sent_status: None,
             ending_since: None,

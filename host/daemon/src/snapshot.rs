@@ -61,20 +61,17 @@ pub struct Snapshot {
 
 impl Snapshot {
     /// What the pilot decided in the last tick.
-    #[must_use]
     pub fn output(&self) -> Option<&Output> {
         self.tick.as_ref().map(|tick| &tick.output)
     }
 
     /// The pilot's mode; disconnected before the first tick.
-    #[must_use]
     pub fn mode(&self) -> Mode {
         self.output()
             .map_or(Mode::Disconnected, |output| output.mode)
     }
 
     /// Why the car does not drive, or stopped.
-    #[must_use]
     pub fn reason(&self) -> Option<Reason> {
         self.output().and_then(|output| output.reason)
     }

@@ -19,7 +19,7 @@ pub(crate) struct NotStarted {
 /// A running thread with its name.
 #[derive(Debug)]
 pub(crate) struct NamedThread<T> {
-    name: &'static str,
+    pub(crate) name: &'static str,
     handle: JoinHandle<T>,
 }
 
@@ -35,10 +35,6 @@ impl<T: Send + 'static> NamedThread<T> {
 }
 
 impl<T> NamedThread<T> {
-    pub(crate) const fn name(&self) -> &'static str {
-        self.name
-    }
-
     /// The handle that wakes it.
     pub(crate) fn thread(&self) -> &thread::Thread {
         self.handle.thread()
@@ -79,7 +75,7 @@ mod tests {
         while !(ends.has_ended() && panics.has_ended()) {
             thread::yield_now();
         }
-        assert_eq!((panics.name(), ends.join()), ("panics", Some(7)));
+        assert_eq!((panics.name, ends.join()), ("panics", Some(7)));
         assert_eq!(panics.join(), None::<()>);
         let panic = thread::spawn(|| panic!("planted {}", 2)).join();
         assert_eq!(message(&*panic.unwrap_err()), "planted 2");

@@ -112,7 +112,6 @@ struct Origin {
 
 impl BoardClock {
     /// A clock without any stamp.
-    #[must_use]
     pub const fn new() -> Self {
         Self {
             origin: None,
@@ -186,7 +185,6 @@ impl BoardClock {
 
     /// Host time of a board time within 35 minutes of the newest stamp, by the
     /// current estimate; `None` before the first stamp.
-    #[must_use]
     pub fn host_time_ns(&self, board_time_us: u32) -> Option<u64> {
         let origin = self.origin?;
         let distance_us = board_time_us
@@ -199,7 +197,6 @@ impl BoardClock {
 
     /// How much faster the host's clock runs than the board's, in parts per
     /// million: positive for a slow board. Zero until it has been measured.
-    #[must_use]
     pub fn skew_ppm(&self) -> f64 {
         self.line.skew * 1e6
     }
@@ -207,7 +204,6 @@ impl BoardClock {
     /// Uncertainty of the newest mapped stamp in nanoseconds, without the minimum
     /// delay; `None` before the first stamp. With evenly distributed delays it covers
     /// more than 98 of 100 errors; the others are in the first second.
-    #[must_use]
     pub fn uncertainty_ns(&self) -> Option<u64> {
         self.origin
             .is_some()

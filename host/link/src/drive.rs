@@ -49,7 +49,6 @@ impl Quantity {
     }
 
     /// The largest magnitude that the wire can carry.
-    #[must_use]
     pub fn limit(self) -> f64 {
         f64::from(i16::MAX) / self.steps_per_unit()
     }

@@ -100,7 +100,6 @@ pub struct TimedTelemetry {
 
 impl TimedTelemetry {
     /// Whether the record carries an IMU sample that none before it carried.
-    #[must_use]
     pub fn has_fresh_imu_sample(&self) -> bool {
         self.telemetry.imu == ImuState::Fresh && self.imu_time_host_ns.is_some()
     }
@@ -145,7 +144,6 @@ impl VersionMismatch {
     pub const HOST_PROTOCOL: u16 = VERSION;
 
     /// The side to update.
-    #[must_use]
     pub fn outdated(&self) -> Side {
         if self.board_protocol < Self::HOST_PROTOCOL {
             Side::Board
@@ -259,7 +257,6 @@ impl LineQuality {
     ///
     /// One damaged byte damages a frame of n bytes: with telemetry of 40 bytes, 0.5 %
     /// of damaged bytes gives a fraction of about 0.18, and 5 % about 0.87.
-    #[must_use]
     pub fn damaged_fraction(&self) -> Option<f32> {
         let all = self.good.saturating_add(self.damaged);
         (all >= Self::SIGNIFICANT).then(|| self.damaged as f32 / all as f32)

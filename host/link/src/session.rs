@@ -253,7 +253,6 @@ impl Session {
     // Getters.
 
     /// How far the session is.
-    #[must_use]
     pub fn state(&self) -> State {
         match self.phase {
             Phase::Disconnected => State::Disconnected,
@@ -271,51 +270,43 @@ impl Session {
     }
 
     /// The configuration that the board is given.
-    #[must_use]
     pub const fn configuration(&self) -> &Configuration {
         &self.config.configuration
     }
 
     /// The hash of the configuration that the board is given.
-    #[must_use]
     pub const fn configuration_hash(&self) -> u32 {
         self.configuration_hash
     }
 
     /// Whether a stop is not confirmed yet.
-    #[must_use]
     pub const fn is_stop_pending(&self) -> bool {
         self.stop.is_some()
     }
 
     /// What was counted so far.
-    #[must_use]
     pub const fn counters(&self) -> Counters {
         self.counters
     }
 
     /// Frames from the board over the last second.
-    #[must_use]
     pub fn line_quality(&self, now_ns: u64) -> LineQuality {
         self.quality.over_last_second(now_ns)
     }
 
     /// Frames to the board, as the board counted them over about the last
     /// second; `None` until it has reported twice.
-    #[must_use]
     pub const fn board_line_quality(&self) -> Option<LineQuality> {
         self.board_quality.last()
     }
 
     /// How long commands take to the board and back; `None` until telemetry reports
     /// the first accepted one.
-    #[must_use]
     pub fn round_trip(&self) -> Option<RoundTrip> {
         self.latency.round_trip()
     }
 
     /// The board's clock in host time.
-    #[must_use]
     pub const fn clock(&self) -> &BoardClock {
         &self.clock
     }
@@ -394,7 +385,6 @@ impl Transmit {
     }
 
     /// The bytes.
-    #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         &self.0
     }
@@ -418,7 +408,6 @@ impl Session {
     /// When [`handle_timeout`](Self::handle_timeout) and
     /// [`poll_transmit`](Self::poll_transmit) must be called next, in host
     /// nanoseconds; `None` while the port is closed.
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<u64> {
         let handshake = match &self.phase {
             Phase::Disconnected => return None,

@@ -118,7 +118,6 @@ pub struct LineHealth {
 
 impl LineHealth {
     /// The larger fraction of the two directions; 0 while neither is measured.
-    #[must_use]
     pub fn worst(&self) -> f64 {
         self.to_host
             .unwrap_or(0.0)
@@ -209,7 +208,6 @@ words! {
 
 impl BoardState {
     /// Whether the board is armed: it follows commands, or will.
-    #[must_use]
     pub const fn is_armed(self) -> bool {
         matches!(
             self,
@@ -275,7 +273,6 @@ impl PilotRequest {
     ];
 
     /// Its number in a record, which never changes.
-    #[must_use]
     pub const fn number(self) -> u8 {
         match self {
             Self::Arm(arming) => arming as u8,
@@ -290,7 +287,6 @@ impl PilotRequest {
     }
 
     /// Its word in log and record.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Arm(arming) => arming.name(),
@@ -305,7 +301,6 @@ impl PilotRequest {
     }
 
     /// Whether it ends a drive.
-    #[must_use]
     pub const fn is_stop(self) -> bool {
         !matches!(self, Self::Arm(_) | Self::Hold)
     }

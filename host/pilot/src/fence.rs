@@ -103,20 +103,17 @@ impl Fence {
     }
 
     /// The corners, in the order given (m, world frame).
-    #[must_use]
     pub fn corners(&self) -> &[Position] {
         &self.corners
     }
 
     /// The distance that the centre of mass keeps from every side, in m.
-    #[must_use]
     pub const fn margin(&self) -> f64 {
         self.margin
     }
 
     /// The distance from `point` to the nearest side minus the margin, in m; negative
     /// outside and inside the margin.
-    #[must_use]
     pub fn clearance(&self, point: &Position) -> f64 {
         let squared = self
             .sides()
@@ -133,14 +130,12 @@ impl Fence {
 
     /// Whether the straight path from `point` by `way` (m) stays inside: both ends keep
     /// the margin, and the path crosses no side. False if a coordinate is not finite.
-    #[must_use]
     pub fn contains_way(&self, point: &Position, way: &Velocity) -> bool {
         self.contains_path(point, &[*way])
     }
 
     /// Whether the path from `point` straight to each of the `places` (m, from `point`) in turn
     /// stays inside, as [`Fence::contains_way`] has it.
-    #[must_use]
     pub fn contains_path(&self, point: &Position, places: &[Velocity]) -> bool {
         let mut from = *point;
         self.contains(point)

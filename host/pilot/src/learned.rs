@@ -47,7 +47,6 @@ impl Learned {
     };
 
     /// The corrections in the order of their declaration.
-    #[must_use]
     pub const fn values(&self) -> [f64; 6] {
         [
             self.steering_gain,
@@ -80,7 +79,6 @@ impl Learned {
 
     /// These corrections a time `dt` (s) later, on their way to `wanted`: never beyond
     /// [`MOST`](Self::MOST), and not towards what is not finite.
-    #[must_use]
     pub fn towards(&self, wanted: &Self, dt: f64) -> Self {
         let (now, wanted, most) = (self.values(), wanted.values(), Self::MOST.values());
         Self::of(core::array::from_fn(|index| {
@@ -94,19 +92,16 @@ impl Learned {
     }
 
     /// The angle to command (rad) for an angle of the wheels (rad).
-    #[must_use]
     pub fn command(&self, wheels: f64) -> f64 {
         (wheels - self.steering_trim) / (1.0 + self.steering_gain)
     }
 
     /// The angle of the wheels (rad) for a commanded one (rad).
-    #[must_use]
     pub fn wheels(&self, commanded: f64) -> f64 {
         (1.0 + self.steering_gain) * commanded + self.steering_trim
     }
 
     /// The state of the car for an estimate with the configured one. Its times stay.
-    #[must_use]
     pub fn corrected(&self, estimate: &Estimate) -> Estimate {
         if *self == Self::default() {
             // To the bit.

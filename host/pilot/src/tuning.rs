@@ -38,7 +38,6 @@ pub struct TuningBounds {
 impl TuningBounds {
     /// Whether every value of `tuning` may be tuned and is within its bounds; not so for a value
     /// that is not a number.
-    #[must_use]
     pub fn allow(&self, tuning: &Tuning) -> bool {
         let within = |bounds: Option<[f64; 2]>, value: f64| {
             bounds.is_some_and(|[least, most]| (least..=most).contains(&value))
@@ -64,7 +63,6 @@ pub struct Tuned {
 
 impl Tuned {
     /// Whether the values of `tuning` are in force already, or on the way.
-    #[must_use]
     pub fn has(&self, tuning: &Tuning) -> bool {
         tuning.gain.is_none_or(|gain| self.gain == Some(gain))
             && tuning

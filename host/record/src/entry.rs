@@ -49,7 +49,6 @@ pub struct TelemetryRecord {
 impl TelemetryRecord {
     /// When the IMU took its sample, if the record before did not carry the same sample
     /// and the time is known.
-    #[must_use]
     pub fn new_imu_time_ns(&self) -> Option<u64> {
         self.imu_time_host_ns
             .filter(|_| self.telemetry.imu == ImuState::Fresh)
@@ -57,13 +56,11 @@ impl TelemetryRecord {
 
     /// Acceleration without gravity along the axes of the car (forward, left, up), in
     /// m/s².
-    #[must_use]
     pub fn linear_acceleration_m_s2(&self) -> [f64; 3] {
         self.telemetry.linear_acceleration_mm_s2.map(thousandths)
     }
 
     /// Angular velocity about the axes of the car (forward, left, up), in rad/s.
-    #[must_use]
     pub fn angular_velocity_rad_s(&self) -> [f64; 3] {
         self.telemetry.angular_velocity_mrad_s.map(thousandths)
     }
@@ -75,7 +72,6 @@ fn thousandths(value: i16) -> f64 {
 
 /// Time from `start_ns` to `time_ns` of the same clock, in s; negative if `time_ns` is
 /// the earlier one.
-#[must_use]
 pub const fn seconds_since(start_ns: u64, time_ns: u64) -> f64 {
     time_ns.wrapping_sub(start_ns).cast_signed() as f64 * 1e-9
 }
@@ -172,7 +168,6 @@ impl ClockMapping {
     };
 
     /// The time of a wall clock that was not set since, at `monotonic_ns`.
-    #[must_use]
     pub const fn wall_ns_at(&self, monotonic_ns: u64) -> u64 {
         if monotonic_ns >= self.monotonic_ns {
             self.wall_ns

@@ -52,7 +52,6 @@ pub enum ReplayError {
 
 impl Replay {
     /// A pilot in its state before the first tick. `configuration` has number 1.
-    #[must_use]
     pub fn new(configuration: PilotConfig) -> Self {
         Self {
             pilot: Pilot::new(configuration),
@@ -127,7 +126,6 @@ impl fmt::Display for Difference {
 
 impl TickRecord {
     /// Whether `output` equals the recorded output, bit for bit.
-    #[must_use]
     pub fn is_output(&self, output: &Output) -> bool {
         // Bytes are compared because `==` takes -0 for 0 and NaN for different from itself.
         matches!(
@@ -137,7 +135,6 @@ impl TickRecord {
     }
 
     /// The fields in which `output` differs from the recorded output.
-    #[must_use]
     pub fn differences(&self, output: &Output) -> Vec<Difference> {
         let values = |tick: Self| Entry::Tick(tick).values();
         let replayed = values(Self {

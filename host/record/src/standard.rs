@@ -36,7 +36,6 @@ macro_rules! standard_topics {
             pub const ALL: [Self; [$($channel),*].len()] = [$(Self::$topic,)*];
 
             /// Its channel in the file, named as ROS names topics.
-            #[must_use]
             pub const fn channel(self) -> &'static str {
                 match self {
                     $(Self::$topic => $channel,)*
@@ -44,7 +43,6 @@ macro_rules! standard_topics {
             }
 
             /// The name of its messages' type, such as `nav_msgs/msg/Odometry`.
-            #[must_use]
             pub fn schema_name(self) -> String {
                 match self {
                     $(Self::$topic => schema_name::<$message>(),)*
@@ -52,7 +50,6 @@ macro_rules! standard_topics {
             }
 
             /// The definition of its messages' type, with all messages within it.
-            #[must_use]
             pub fn schema_text(self) -> String {
                 match self {
                     $(Self::$topic => schema_text::<$message>(),)*

@@ -47,7 +47,6 @@ pub struct TickRecord<const EVENTS: usize = MAX_EVENTS> {
 
 impl<const EVENTS: usize> TickRecord<EVENTS> {
     /// This tick without its events.
-    #[must_use]
     pub const fn without_events(&self) -> TickRecord<0> {
         self.with_events(heapless::Vec::new())
     }
@@ -75,7 +74,6 @@ impl<const EVENTS: usize> TickRecord<EVENTS> {
 
 impl TickRecord {
     /// Delay from the scheduled time to the wake-up of the thread.
-    #[must_use]
     pub const fn lateness_ns(&self) -> i64 {
         self.start_ns.wrapping_sub(self.scheduled_ns) as i64
     }
@@ -85,7 +83,6 @@ impl TickRecord {
     ///
     /// In a held tick the pose is an old one: this is a latency only if
     /// [`Output::held`] is false.
-    #[must_use]
     pub const fn capture_to_command_ns(&self) -> Option<i64> {
         match (&self.output.command, &self.drive) {
             (Some(command), Some(drive)) if drive.written => {
@@ -152,7 +149,6 @@ struct Head {
 ///
 /// All its memory has been touched when this returns: a later push meets no page fault,
 /// unless the system has swapped the memory out.
-#[must_use]
 #[inline]
 pub fn tick_feed(capacity: usize) -> (TickInput, TickOutput) {
     let (mut heads, mut heads_out) = RingBuffer::new(capacity);
@@ -210,7 +206,6 @@ impl TickOutput {
     }
 
     /// Whether the input is gone.
-    #[must_use]
     pub fn is_abandoned(&self) -> bool {
         self.heads.is_abandoned()
     }

@@ -58,7 +58,7 @@ fn read(bytes: &[u8]) -> Result<Read, RecordError> {
     Ok(Read {
         entries,
         error,
-        ending: reader.ending(),
+        ending: reader.ending,
     })
 }
 

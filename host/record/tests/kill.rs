@@ -168,6 +168,6 @@ fn saved_and_lost(path: &Path, pushed: &[u64]) -> (u64, u64) {
             ticks += 1;
         }
     }
-    assert_eq!(reader.ending(), Some(Ending::Finished));
+    assert_eq!(reader.ending, Some(Ending::Finished));
     (ticks, last_pushed.saturating_sub(last_read))
 }

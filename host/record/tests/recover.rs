@@ -98,7 +98,7 @@ impl Case {
 fn read_to_its_end(path: &Path) -> Vec<Entry> {
     let mut reader = Reader::open(path).unwrap();
     let entries = reader.by_ref().map(Result::unwrap).collect();
-    assert_eq!(reader.ending(), Some(Ending::Finished));
+    assert_eq!(reader.ending, Some(Ending::Finished));
     entries
 }
 
@@ -131,7 +131,7 @@ fn a_killed_record_becomes_a_complete_one_with_an_index() {
     );
 
     let reader = Reader::open(&case.output()).unwrap();
-    assert_eq!(reader.meta(), &common::meta());
+    assert_eq!(&reader.meta, &common::meta());
     assert_eq!(read_to_its_end(&case.output()), logs(0..FLUSHES));
     let written = fs::read(case.output()).unwrap();
     assert_eq!(recovery.bytes, written.len() as u64);

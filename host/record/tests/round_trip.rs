@@ -29,9 +29,9 @@ proptest! {
         let path = folder.path().join("drive.mcap");
         common::record(&path, &entries);
         let mut reader = Reader::open(&path).unwrap();
-        prop_assert_eq!(reader.meta(), &common::meta());
+        prop_assert_eq!(&reader.meta, &common::meta());
         let read: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
-        prop_assert_eq!(reader.ending(), Some(Ending::Finished));
+        prop_assert_eq!(reader.ending, Some(Ending::Finished));
         // The text distinguishes -0.0 from 0.0.
         prop_assert_eq!(format!("{read:?}"), format!("{entries:?}"));
     }
@@ -270,7 +270,7 @@ proptest! {
             prop_assert_eq!(shown, expected);
         }
         prop_assert_eq!(reader.advance().unwrap(), None);
-        prop_assert_eq!(reader.ending(), Some(Ending::Finished));
+        prop_assert_eq!(reader.ending, Some(Ending::Finished));
         prop_assert_eq!(reader.advance().unwrap(), None);
     }
 }
@@ -287,17 +287,17 @@ fn at_the_current_end_the_next_call_reads_again() {
     for _ in 0..3 {
         assert_eq!(reader.advance().unwrap(), None);
         assert!(matches!(
-            reader.ending(),
+            reader.ending,
             Some(Ending::Unfinished { entries: 1, .. })
         ));
     }
     recorder.write(&common::log(2)).unwrap();
     recorder.flush().unwrap();
     assert_eq!(reader.advance().unwrap().unwrap().topic, Topic::Log);
-    assert_eq!(reader.ending(), None);
+    assert_eq!(reader.ending, None);
     recorder.finish().unwrap();
     assert_eq!(reader.advance().unwrap(), None);
-    assert_eq!(reader.ending(), Some(Ending::Finished));
+    assert_eq!(reader.ending, Some(Ending::Finished));
 }
 
 #[test]

@@ -91,7 +91,7 @@ fn run(arguments: &Arguments) -> Result<(), RunError> {
     diagnostics::start(&mut node, &tally)?;
     node.spin()?;
     tracing::info!(
-        domain = node.domain(),
+        domain = node.domain,
         namespace = arguments.namespace,
         socket = %arguments.socket.display(),
         "started"

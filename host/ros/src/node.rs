@@ -27,7 +27,7 @@ const KEPT: usize = 100;
 pub(crate) struct Node {
     node: ros2_client::Node,
     namespace: String,
-    domain: u16,
+    pub(crate) domain: u16,
 }
 
 impl Node {
@@ -63,10 +63,6 @@ impl Node {
             namespace: arguments.namespace.clone(),
             domain,
         })
-    }
-
-    pub(crate) const fn domain(&self) -> u16 {
-        self.domain
     }
 
     /// A publisher that never waits: of a reliable subscriber that is too slow it keeps the

@@ -97,7 +97,7 @@ impl Outgoing {
         let topics: Vec<_> = own.chain([CONFIGURATION]).collect();
         let mut stream = MessageStream::open(&self.socket, &topics, SILENCE)?;
         tracing::info!("connected to the daemon");
-        warn_of_clocks(stream.clocks());
+        warn_of_clocks(stream.clocks);
         self.describe()?;
         loop {
             match stream.receive()? {

@@ -12,7 +12,6 @@ const LONGEST_QUOTE: usize = 60;
 const ALIKE: f64 = 0.8;
 
 /// Explains why `text` does not parse.
-#[must_use]
 pub fn explain(text: &str, error: &toml::de::Error) -> String {
     let message = error.message().trim();
     let place = Place::find(text, error.span().unwrap_or_default());
@@ -37,7 +36,6 @@ pub fn explain(text: &str, error: &toml::de::Error) -> String {
 }
 
 /// Explains why a table can't be read whose text is not at hand: key and fix.
-#[must_use]
 pub fn explain_table(error: &toml::de::Error) -> String {
     let (message, text) = (error.message().trim(), error.to_string());
     let place = Place {
@@ -220,7 +218,6 @@ fn is_with_comma(value: &str) -> bool {
 
 /// What serde expects, in the words of an author of a file or a line; `None` for what is no type of
 /// serde's.
-#[must_use]
 pub fn kind(expected: &str) -> Option<&'static str> {
     Some(match expected {
         "u8" => "a whole number from 0 to 255",
@@ -248,7 +245,6 @@ pub fn list<'a>(words: impl Iterator<Item = &'a str>, quote: &str) -> String {
 }
 
 /// The word in backquotes that follows these words at the start of serde's message.
-#[must_use]
 pub fn quoted_after<'a>(message: &'a str, words: &str) -> Option<&'a str> {
     let rest = message.strip_prefix(words)?.strip_prefix('`')?;
     Some(rest.split_once('`')?.0)
@@ -278,7 +274,6 @@ fn quote(value: &str) -> String {
 }
 
 /// A text of at most 60 characters.
-#[must_use]
 pub fn shortened(text: &str) -> String {
     match text.char_indices().nth(LONGEST_QUOTE) {
         Some((end, _)) => format!("{}...", text.get(..end).unwrap_or_default()),

@@ -291,7 +291,6 @@ macro_rules! section {
     (@new $section:ident [$($parameters:tt)+] [$($fields:tt)+]) => {
         impl $section {
             /// The section with its mandatory keys, and the default of every other.
-            #[must_use]
             pub fn new($($parameters)+) -> Self {
                 Self { $($fields)+ }
             }

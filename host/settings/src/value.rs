@@ -63,7 +63,6 @@ impl<T: Copy + Into<f64>> Rule for RangeInclusive<T> {
 pub struct UpTo(f64);
 
 /// Above zero, up to `highest`.
-#[must_use]
 pub const fn up_to(highest: f64) -> UpTo {
     UpTo(highest)
 }
@@ -86,7 +85,6 @@ pub struct Worded {
 }
 
 /// A finite number for which `allows` holds; `words` follow "it must be".
-#[must_use]
 pub const fn in_words(words: &'static str, allows: fn(f64) -> bool) -> Worded {
     Worded { words, allows }
 }
@@ -181,7 +179,6 @@ fn nanoseconds(key: &str) -> u64 {
 }
 
 /// Seconds of milliseconds.
-#[must_use]
 pub fn seconds(milliseconds: u32) -> f64 {
     f64::from(milliseconds) / 1_000.0
 }

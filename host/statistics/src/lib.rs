@@ -21,7 +21,6 @@ pub struct Gap {
 
 impl Gap {
     /// A gap of no length, which began at 0.
-    #[must_use]
     pub const fn new() -> Self {
         Self {
             longest_ns: 0,
@@ -43,7 +42,8 @@ impl Gap {
 /// Count, rate and longest gap of arrivals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Arrivals {
-    count: u64,
+    /// The number of arrivals.
+    pub count: u64,
     first_ns: i64,
     last_ns: i64,
     gap: Gap,
@@ -63,33 +63,23 @@ impl Arrivals {
         self.last_ns = self.last_ns.max(time_ns);
     }
 
-    /// The number of arrivals.
-    #[must_use]
-    pub const fn count(&self) -> u64 {
-        self.count
-    }
-
     /// Arrivals per second between the first and the latest; none if no time passed.
-    #[must_use]
     pub fn rate_hz(&self) -> Option<f64> {
         let span_s = (self.last_ns - self.first_ns) as f64 / 1e9;
         (self.count > 1 && span_s > 0.0).then(|| (self.count - 1) as f64 / span_s)
     }
 
     /// The time of the first arrival, in ns.
-    #[must_use]
     pub fn first_ns(&self) -> Option<i64> {
         (self.count > 0).then_some(self.first_ns)
     }
 
     /// The time of the latest arrival, in ns.
-    #[must_use]
     pub fn last_ns(&self) -> Option<i64> {
         (self.count > 0).then_some(self.last_ns)
     }
 
     /// The longest time between two arrivals; none with fewer than two.
-    #[must_use]
     pub fn longest_gap(&self) -> Option<Gap> {
         (self.count > 1).then_some(self.gap)
     }
@@ -109,51 +99,43 @@ impl Distribution {
     }
 
     /// The values in ascending order.
-    #[must_use]
     pub fn sorted(&self) -> &[f64] {
         &self.0
     }
 
     /// The number of values.
-    #[must_use]
     pub fn count(&self) -> usize {
         self.0.len()
     }
 
     /// The smallest value.
-    #[must_use]
     pub fn min(&self) -> Option<f64> {
         self.0.first().copied()
     }
 
     /// The largest value.
-    #[must_use]
     pub fn max(&self) -> Option<f64> {
         self.0.last().copied()
     }
 
     /// The smallest value that `part` (0 to 1) of all values do not exceed. It is one of
     /// the values; values between two are not interpolated.
-    #[must_use]
     pub fn quantile(&self, part: f64) -> Option<f64> {
         let rank = (part * self.0.len() as f64).ceil() as usize;
         self.0.get(rank.max(1) - 1).copied()
     }
 
     /// How many values are smaller than `bound`.
-    #[must_use]
     pub fn count_below(&self, bound: f64) -> usize {
         self.0.partition_point(|value| *value < bound)
     }
 
     /// How many values are at most `bound`.
-    #[must_use]
     pub fn count_up_to(&self, bound: f64) -> usize {
         self.0.partition_point(|value| *value <= bound)
     }
 
     /// The root mean square of the values.
-    #[must_use]
     pub fn root_mean_square(&self) -> Option<f64> {
         crate::RootMeanSquare::of(self.0.iter().copied()).value()
     }
@@ -203,7 +185,6 @@ impl DurationHistogram {
     }
 
     /// The percentiles of all durations so far.
-    #[must_use]
     pub fn percentiles(&self) -> Percentiles {
         let microseconds = |ns: u64| ns as f64 / 1_000.0;
         Percentiles {
@@ -249,7 +230,6 @@ impl Line {
     }
 
     /// The ordinate at an abscissa.
-    #[must_use]
     pub fn at(&self, x: f64) -> f64 {
         self.middle[1] + self.slope * (x - self.middle[0])
     }
@@ -285,7 +265,6 @@ impl RootMeanSquare {
     }
 
     /// The root mean square, in the unit of the values; none without values.
-    #[must_use]
     pub fn value(&self) -> Option<f64> {
         (self.count > 0).then(|| (self.squares / self.count as f64).sqrt())
     }
@@ -297,7 +276,6 @@ pub struct Random(u64);
 
 impl Random {
     /// The numbers of this seed.
-    #[must_use]
     pub const fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -348,7 +326,7 @@ mod tests {
         for ms in [10, 20, 50, 60] {
             arrivals.add(Some(ms * 1_000_000));
         }
-        assert_eq!(arrivals.count(), 4);
+        assert_eq!(arrivals.count, 4);
         assert_eq!(arrivals.rate_hz(), Some(60.0));
         assert_eq!(arrivals.first_ns(), Some(10_000_000));
         assert_eq!(arrivals.last_ns(), Some(60_000_000));

@@ -12,7 +12,10 @@ use std::{
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::{Value, value::RawValue};
 
-use crate::shard::{Experiment, Shard};
+use crate::{
+    Result,
+    shard::{Experiment, Shard},
+};
 
 /// The version of the files.
 pub const FORMAT: u32 = 1;
@@ -51,47 +54,10 @@ struct Line<'a> {
 /// The results of one shard, or of a whole campaign.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResultFile {
-    pub(crate) header: Header,
+    /// What decided the results.
+    pub header: Header,
     /// The JSON text of each unit's result.
     pub(crate) results: BTreeMap<u64, String>,
-}
-
-/// Why a file can't be read or written.
-#[derive(Debug, thiserror::Error)]
-pub enum FileError {
-    /// The system refuses to read or to write it.
-    #[error("can't {what} {}: {source}", path.display())]
-    System {
-        /// What was to be done.
-        what: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// It is no result file.
-    #[error("{}, line {line}: {reason}", path.display())]
-    Invalid {
-        /// The file.
-        path: PathBuf,
-        /// The line, from 1.
-        line: usize,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A unit of the shard is not there.
-    #[error("{}: unit {unit} of shard {shard} is missing; run this shard again", path.display())]
-    Incomplete {
-        /// The file.
-        path: PathBuf,
-        /// The first missing unit.
-        unit: u64,
-        /// The shard.
-        shard: Shard,
-    },
-    /// Results or options have no JSON.
-    #[error("the results can't be written as JSON: {0}")]
-    Json(#[from] serde_json::Error),
 }
 
 impl Header {
@@ -100,7 +66,7 @@ impl Header {
     /// # Errors
     ///
     /// The options have no JSON, or a file can't be read.
-    pub fn of<E: Experiment>(experiment: &E, shard: Shard) -> Result<Self, FileError> {
+    pub fn of<E: Experiment>(experiment: &E, shard: Shard) -> Result<Self> {
         Ok(Self {
             campaign: E::NAME.to_owned(),
             format: FORMAT,
@@ -114,7 +80,7 @@ impl Header {
 }
 
 /// A hash of this program's file and of others.
-fn program(files: Vec<PathBuf>) -> Result<String, FileError> {
+fn program(files: Vec<PathBuf>) -> Result<String> {
     // The file that runs, also when it has been replaced meanwhile.
     let own = PathBuf::from("/proc/self/exe");
     let mut hasher = DefaultHasher::new();
@@ -126,21 +92,15 @@ fn program(files: Vec<PathBuf>) -> Result<String, FileError> {
 
 impl ResultFile {
     /// With these results.
-    pub(crate) fn of(header: Header, results: &[(u64, impl Serialize)]) -> Result<Self, FileError> {
+    pub(crate) fn of(header: Header, results: &[(u64, impl Serialize)]) -> Result<Self> {
         let lines = results.iter();
         let lines = lines.map(|(unit, result)| Ok((*unit, serde_json::to_string(result)?)));
-        let results = lines.collect::<Result<_, serde_json::Error>>()?;
+        let results = lines.collect::<Result<_>>()?;
         Ok(Self { header, results })
     }
 
-    /// The header.
-    #[must_use]
-    pub const fn header(&self) -> &Header {
-        &self.header
-    }
-
     /// The results, of a type that another version may have had otherwise.
-    pub(crate) fn parsed<R: DeserializeOwned>(&self) -> Result<Vec<(u64, R)>, serde_json::Error> {
+    pub(crate) fn parsed<R: DeserializeOwned>(&self) -> Result<Vec<(u64, R)>> {
         let results = self.results.iter();
         results
             .map(|(unit, text)| Ok((*unit, serde_json::from_str(text)?)))
@@ -152,12 +112,10 @@ impl ResultFile {
     /// # Errors
     ///
     /// The file can't be read, is no result file, or is not complete.
-    pub fn read(path: &Path) -> Result<Self, FileError> {
+    pub fn read(path: &Path) -> Result<Self> {
         let text = fs::read_to_string(path).map_err(system_error("read", path))?;
-        let invalid = |line: usize, reason: String| FileError::Invalid {
-            path: path.to_owned(),
-            line: line + 1,
-            reason,
+        let invalid = |line: usize, reason: String| {
+            format!("{}, line {}: {reason}", path.display(), line + 1)
         };
         let mut lines = text.lines().enumerate();
         let (_, first) = lines
@@ -166,13 +124,10 @@ impl ResultFile {
         let header: Header = serde_json::from_str(first)
             .map_err(|error| invalid(0, format!("no header of a result file: {error}")))?;
         if header.format != FORMAT {
-            return Err(invalid(
-                0,
-                format!(
-                    "the file has format {}, this program reads format {FORMAT}",
-                    header.format
-                ),
-            ));
+            let format = header.format;
+            let reason =
+                format!("the file has format {format}, this program reads format {FORMAT}");
+            return Err(invalid(0, reason).into());
         }
         let mut expected = header.shard.units(header.units);
         let mut results = BTreeMap::new();
@@ -180,22 +135,18 @@ impl ResultFile {
             let line: Line<'_> = serde_json::from_str(line)
                 .map_err(|error| invalid(number, format!("no result of a unit: {error}")))?;
             if expected.next() != Some(line.unit) {
-                return Err(invalid(
-                    number,
-                    format!(
-                        "unit {} is not the next one of shard {}",
-                        line.unit, header.shard
-                    ),
-                ));
+                let (unit, shard) = (line.unit, header.shard);
+                let reason = format!("unit {unit} is not the next one of shard {shard}");
+                return Err(invalid(number, reason).into());
             }
             results.insert(line.unit, line.result.get().to_owned());
         }
         if let Some(unit) = expected.next() {
-            return Err(FileError::Incomplete {
-                path: path.to_owned(),
-                unit,
-                shard: header.shard,
-            });
+            let (path, shard) = (path.display(), header.shard);
+            return Err(format!(
+                "{path}: unit {unit} of shard {shard} is missing; run this shard again"
+            )
+            .into());
         }
         Ok(Self { header, results })
     }
@@ -205,7 +156,7 @@ impl ResultFile {
     /// # Errors
     ///
     /// The header has no JSON.
-    pub fn text(&self) -> Result<String, FileError> {
+    pub fn text(&self) -> Result<String> {
         let mut text = serde_json::to_string(&self.header)?;
         text.push('\n');
         for (unit, result) in &self.results {
@@ -219,10 +170,9 @@ impl ResultFile {
     /// # Errors
     ///
     /// The system's error.
-    pub(crate) fn check_writable(path: &Path) -> Result<(), FileError> {
-        tempfile::tempfile_in(folder(path))
-            .map(drop)
-            .map_err(system_error("write", path))
+    pub(crate) fn check_writable(path: &Path) -> Result {
+        tempfile::tempfile_in(folder(path)).map_err(system_error("write", path))?;
+        Ok(())
     }
 
     /// Writes the file, as a whole or not at all: a shard that was ended leaves no part.
@@ -230,7 +180,7 @@ impl ResultFile {
     /// # Errors
     ///
     /// The system's error.
-    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+    pub fn write(&self, path: &Path) -> Result {
         let text = self.text()?;
         let written = || {
             let mut file = tempfile::Builder::new()
@@ -241,7 +191,7 @@ impl ResultFile {
             file.persist(path)?;
             Ok(())
         };
-        written().map_err(system_error("write", path))
+        Ok(written().map_err(system_error("write", path))?)
     }
 }
 
@@ -252,7 +202,6 @@ fn folder(path: &Path) -> &Path {
     }
 }
 
-fn system_error(what: &'static str, path: &Path) -> impl FnOnce(io::Error) -> FileError {
-    let path = path.to_owned();
-    move |source| FileError::System { what, path, source }
+fn system_error(what: &str, path: &Path) -> impl Fn(io::Error) -> String {
+    move |error| format!("can't {what} {}: {error}", path.display())
 }

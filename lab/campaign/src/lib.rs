@@ -20,7 +20,10 @@ mod merge;
 mod run;
 mod shard;
 
-pub use file::{FORMAT, FileError, Header, ResultFile};
-pub use merge::{MergeArgs, MergeError, merge, merge_files, run_merge};
-pub use run::{Campaign, CampaignArgs, CampaignError, Progress};
+pub use file::{FORMAT, Header, ResultFile};
+pub use merge::{MergeArgs, merge, merge_files, run_merge};
+pub use run::{Campaign, CampaignArgs, Progress};
 pub use shard::{Experiment, Results, Shard, ShardError, run_units, thread_count};
+
+/// A value, or a sentence for the user about why there is none.
+pub type Result<T = (), E = Box<dyn core::error::Error + Send + Sync>> = core::result::Result<T, E>;

@@ -9,7 +9,8 @@ use std::{
 use clap::Args;
 
 use crate::{
-    file::{FileError, Header, ResultFile},
+    Result,
+    file::{Header, ResultFile},
     shard::Shard,
 };
 
@@ -25,62 +26,12 @@ pub struct MergeArgs {
     pub out: Option<PathBuf>,
 }
 
-/// Why files can't be joined.
-#[derive(Debug, thiserror::Error)]
-pub enum MergeError {
-    /// A file can't be read or written.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// Two files are of different campaigns.
-    #[error(
-        "{} and {} are of different campaigns: {what} is {first} in the one and {second} in the other",
-        paths[0].display(),
-        paths[1].display()
-    )]
-    Mixture {
-        /// The two files.
-        paths: [PathBuf; 2],
-        /// What differs.
-        what: &'static str,
-        /// In the first file.
-        first: String,
-        /// In the second file.
-        second: String,
-    },
-    /// A unit is in two files.
-    #[error("unit {unit} is in {} and in {}: give each shard once", paths[0].display(), paths[1].display())]
-    Double {
-        /// The unit.
-        unit: u64,
-        /// The two files.
-        paths: [PathBuf; 2],
-    },
-    /// Units are missing.
-    #[error("{count} of {units} units are missing, the first is {unit}: give also shard {shard}")]
-    Gap {
-        /// How many are missing.
-        count: u64,
-        /// How many there should be.
-        units: u64,
-        /// The first missing unit.
-        unit: u64,
-        /// The shard that has it, with as many shards as the first file says.
-        shard: Shard,
-    },
-    /// There is no file.
-    #[error("give the files of the shards")]
-    Nothing,
-    /// Standard output can't be written.
-    #[error("can't write to standard output: {0}")]
-    Output(io::Error),
-}
-
 /// Reads the files of all shards and joins them.
 ///
 /// # Errors
 ///
 /// A file can't be read, or the files are not those of one campaign.
-pub fn merge_files(paths: &[PathBuf]) -> Result<ResultFile, MergeError> {
+pub fn merge_files(paths: &[PathBuf]) -> Result<ResultFile> {
     let mut files = Vec::with_capacity(paths.len());
     for path in paths {
         files.push((path.clone(), ResultFile::read(path)?));
@@ -93,7 +44,7 @@ pub fn merge_files(paths: &[PathBuf]) -> Result<ResultFile, MergeError> {
 /// # Errors
 ///
 /// Units are missing or there twice, or the files are of different campaigns.
-pub fn merge(files: Vec<(PathBuf, ResultFile)>) -> Result<ResultFile, MergeError> {
+pub fn merge(files: Vec<(PathBuf, ResultFile)>) -> Result<ResultFile> {
     let mut merged: Option<(PathBuf, Header)> = None;
     let mut results: BTreeMap<u64, String> = BTreeMap::new();
     // Which file has which units: a double is named with both files.
@@ -113,24 +64,24 @@ pub fn merge(files: Vec<(PathBuf, ResultFile)>) -> Result<ResultFile, MergeError
                     |(_, shard): &&(PathBuf, Shard)| Shard::with_unit(unit, shard.of()) == *shard;
                 let earlier = shards.iter().find(with_unit);
                 let earlier = earlier.map_or_else(|| path.clone(), |(path, _)| path.clone());
-                return Err(MergeError::Double {
-                    unit,
-                    paths: [earlier, path],
-                });
+                let [earlier, path] = [earlier.display(), path.display()];
+                return Err(format!(
+                    "unit {unit} is in {earlier} and in {path}: give each shard once"
+                )
+                .into());
             }
         }
         shards.push((path, header.shard));
     }
-    let (_, header) = merged.ok_or(MergeError::Nothing)?;
+    let (_, header) = merged.ok_or("give the files of the shards")?;
     let units = header.units;
     let count = units - results.len() as u64;
     if let Some(unit) = (0..units).find(|unit| !results.contains_key(unit)) {
-        return Err(MergeError::Gap {
-            count,
-            units,
-            unit,
-            shard: Shard::with_unit(unit, header.shard.of()),
-        });
+        let shard = Shard::with_unit(unit, header.shard.of());
+        return Err(format!(
+            "{count} of {units} units are missing, the first is {unit}: give also shard {shard}"
+        )
+        .into());
     }
     let header = Header {
         shard: Shard::WHOLE,
@@ -139,12 +90,7 @@ pub fn merge(files: Vec<(PathBuf, ResultFile)>) -> Result<ResultFile, MergeError
     Ok(ResultFile { header, results })
 }
 
-fn same_campaign(
-    first: &Path,
-    one: &Header,
-    second: &Path,
-    other: &Header,
-) -> Result<(), MergeError> {
+fn same_campaign(first: &Path, one: &Header, second: &Path, other: &Header) -> Result {
     let values = |header: &Header| {
         [
             ("the campaign", header.campaign.clone()),
@@ -156,12 +102,12 @@ fn same_campaign(
     };
     for ((what, one), (_, other)) in values(one).into_iter().zip(values(other)) {
         if one != other {
-            return Err(MergeError::Mixture {
-                paths: [first.to_owned(), second.to_owned()],
-                what,
-                first: one,
-                second: other,
-            });
+            let [first, second] = [first.display(), second.display()];
+            return Err(format!(
+                "{first} and {second} are of different campaigns: {what} is {one} in the one and \
+                 {other} in the other"
+            )
+            .into());
         }
     }
     Ok(())
@@ -172,14 +118,14 @@ fn same_campaign(
 /// # Errors
 ///
 /// The files can't be joined, or the result can't be written.
-pub fn run_merge(arguments: &MergeArgs) -> Result<(), MergeError> {
+pub fn run_merge(arguments: &MergeArgs) -> Result {
     let merged = merge_files(&arguments.files)?;
     match &arguments.out {
-        Some(path) => Ok(merged.write(path)?),
+        Some(path) => merged.write(path),
         None => match io::stdout().lock().write_all(merged.text()?.as_bytes()) {
             // The reader of a pipe may close it at any time.
             Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-                Err(MergeError::Output(error))
+                Err(format!("can't write to standard output: {error}").into())
             }
             _ => Ok(()),
         },

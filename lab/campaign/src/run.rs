@@ -1,6 +1,5 @@
 //! An experiment of a campaign: runs it, shows its progress, or reads its results.
 
-use core::error::Error;
 use std::{
     io::{self, IsTerminal as _, Write as _},
     path::PathBuf,
@@ -12,34 +11,11 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::{
-    file::{FileError, Header, ResultFile},
-    merge::{MergeError, merge_files},
+    Result,
+    file::{Header, ResultFile},
+    merge::merge_files,
     shard::{Experiment, Results, Shard, run_units, thread_count},
 };
-
-/// Why a campaign has no results.
-#[derive(Debug, thiserror::Error)]
-pub enum CampaignError<E: Error + 'static> {
-    /// A unit can't be run.
-    #[error(transparent)]
-    Unit(E),
-    /// The result file can't be written.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// Result files can't be read or don't belong together.
-    #[error(transparent)]
-    Merge(#[from] MergeError),
-    /// The files are of another experiment, or another version wrote them.
-    #[error("{}: {reason}; this is a report about {expected:?}", path.display())]
-    Other {
-        /// The first file.
-        path: PathBuf,
-        /// What differs.
-        reason: String,
-        /// The experiment that was expected.
-        expected: &'static str,
-    },
-}
 
 /// A campaign that was run or read.
 #[derive(Debug)]
@@ -59,10 +35,7 @@ impl<E: Experiment> Campaign<E> {
     /// # Errors
     ///
     /// A unit can't be run, or a file can't be read or written.
-    pub fn obtain(
-        experiment: E,
-        arguments: &CampaignArgs,
-    ) -> Result<Self, CampaignError<E::Error>> {
+    pub fn obtain(experiment: E, arguments: &CampaignArgs) -> Result<Self> {
         if !arguments.from.is_empty() {
             return Self::read(&arguments.from);
         }
@@ -80,7 +53,7 @@ impl<E: Experiment> Campaign<E> {
             || progress.advance(),
         );
         progress.finish();
-        let results = results.map_err(CampaignError::Unit)?;
+        let results = results?;
         if let Some(path) = &arguments.json {
             let header = Header::of(&experiment, shard)?;
             ResultFile::of(header, &results)?.write(path)?;
@@ -93,18 +66,16 @@ impl<E: Experiment> Campaign<E> {
     }
 
     /// Reads the files of all shards of a campaign.
-    fn read(paths: &[PathBuf]) -> Result<Self, CampaignError<E::Error>> {
+    fn read(paths: &[PathBuf]) -> Result<Self> {
         let file = merge_files(paths)?;
-        let other = |reason| CampaignError::Other {
-            path: paths.first().cloned().unwrap_or_default(),
-            reason,
-            expected: E::NAME,
+        let other = |reason: String| {
+            let path = paths.first().cloned().unwrap_or_default();
+            let path = path.display();
+            format!("{path}: {reason}; this is a report about {:?}", E::NAME)
         };
-        if file.header.campaign != E::NAME {
-            return Err(other(format!(
-                "it has results of {:?}",
-                file.header.campaign
-            )));
+        let campaign = &file.header.campaign;
+        if campaign != E::NAME {
+            return Err(other(format!("it has results of {campaign:?}")).into());
         }
         let experiment = serde_json::from_value(file.header.options.clone());
         let experiment = experiment.map_err(|error| other(format!("its options: {error}")))?;
@@ -142,7 +113,6 @@ pub struct CampaignArgs {
 
 impl CampaignArgs {
     /// The number of threads to use.
-    #[must_use]
     pub fn threads(&self) -> usize {
         self.threads.unwrap_or_else(thread_count).max(1)
     }
@@ -162,7 +132,6 @@ pub struct Progress {
 
 impl Progress {
     /// For `length` units.
-    #[must_use]
     pub fn new(name: &'static str, length: u64) -> Self {
         let bar = ProgressBar::new(length);
         if let Ok(style) =

@@ -1,6 +1,6 @@
 //! An experiment of numbered units, and which of them a process runs, on all cores.
 
-use core::{error::Error, fmt, num::NonZero, str::FromStr};
+use core::{fmt, num::NonZero, str::FromStr};
 use std::{
     path::PathBuf,
     sync::{
@@ -55,7 +55,6 @@ impl Shard {
     }
 
     /// Number of parts.
-    #[must_use]
     pub const fn of(self) -> u64 {
         self.of
     }
@@ -143,7 +142,6 @@ pub fn run_units<R: Send, E: Send>(
 }
 
 /// One thread per core that this process may use.
-#[must_use]
 pub fn thread_count() -> usize {
     thread::available_parallelism().map_or(1, NonZero::get)
 }
@@ -156,9 +154,6 @@ pub trait Experiment: Serialize + DeserializeOwned + Sync {
 
     /// The result of a unit.
     type Result: Serialize + DeserializeOwned + fmt::Debug + Send;
-
-    /// Why a unit has no result.
-    type Error: Error + Send + 'static;
 
     /// The number of units.
     fn units(&self) -> u64;
@@ -173,7 +168,7 @@ pub trait Experiment: Serialize + DeserializeOwned + Sync {
     /// # Errors
     ///
     /// The unit can't be run; the campaign ends.
-    fn run(&self, unit: u64) -> Result<Self::Result, Self::Error>;
+    fn run(&self, unit: u64) -> crate::Result<Self::Result>;
 }
 
 /// Results of the units of a shard, in the order of their numbers.

@@ -2,14 +2,15 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use core::convert::Infallible;
 use std::{
     fs,
     path::{Path, PathBuf},
 };
 
 use serde::{Deserialize, Serialize};
-use singletrack_campaign::{Campaign, CampaignArgs, Experiment, ResultFile, Shard, merge_files};
+use singletrack_campaign::{
+    Campaign, CampaignArgs, Experiment, Result, ResultFile, Shard, merge_files,
+};
 use tempfile::TempDir;
 
 /// Numbers that a decimal text must not change.
@@ -27,13 +28,12 @@ const THIRDS: Thirds = Thirds {
 impl Experiment for Thirds {
     const NAME: &'static str = "thirds";
     type Result = f64;
-    type Error = Infallible;
 
     fn units(&self) -> u64 {
         self.units
     }
 
-    fn run(&self, unit: u64) -> Result<f64, Infallible> {
+    fn run(&self, unit: u64) -> Result<f64> {
         Ok(1e-7 * unit as f64 / self.divisor)
     }
 }
@@ -170,7 +170,6 @@ fn shards_with_another_file_that_decides_the_results_are_refused() {
     impl Experiment for Image {
         const NAME: &'static str = "image";
         type Result = u64;
-        type Error = Infallible;
 
         fn units(&self) -> u64 {
             2
@@ -180,7 +179,7 @@ fn shards_with_another_file_that_decides_the_results_are_refused() {
             vec![self.path.clone()]
         }
 
-        fn run(&self, unit: u64) -> Result<u64, Infallible> {
+        fn run(&self, unit: u64) -> Result<u64> {
             Ok(unit)
         }
     }
@@ -245,13 +244,12 @@ fn the_report_about_another_experiment_is_refused() {
     impl Experiment for Other {
         const NAME: &'static str = "other";
         type Result = f64;
-        type Error = Infallible;
 
         fn units(&self) -> u64 {
             0
         }
 
-        fn run(&self, _: u64) -> Result<f64, Infallible> {
+        fn run(&self, _: u64) -> Result<f64> {
             Ok(0.0)
         }
     }
@@ -273,20 +271,16 @@ fn the_report_about_another_experiment_is_refused() {
 fn a_place_that_cannot_be_written_is_refused_before_the_work() {
     #[derive(Debug, Serialize, Deserialize)]
     struct Never {}
-    #[derive(Debug, thiserror::Error)]
-    #[error("it was run")]
-    struct WasRun;
     impl Experiment for Never {
         const NAME: &'static str = "never";
         type Result = ();
-        type Error = WasRun;
 
         fn units(&self) -> u64 {
             1
         }
 
-        fn run(&self, _: u64) -> Result<(), WasRun> {
-            Err(WasRun)
+        fn run(&self, _: u64) -> Result {
+            Err("it was run".into())
         }
     }
     let folder = tempfile::tempdir().unwrap();
@@ -310,6 +304,6 @@ fn a_file_replaces_that_of_the_same_shard_and_nothing_else_is_left() {
     run(THIRDS, "1/2", &path);
     run(THIRDS, "2/2", &path);
     let file = ResultFile::read(&path).unwrap();
-    assert_eq!(file.header().shard, Shard::new(2, 2).unwrap());
+    assert_eq!(file.header.shard, Shard::new(2, 2).unwrap());
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }

@@ -194,7 +194,7 @@ impl<'a> Counted<'a> {
 
     /// When the path ends, in s; none if it does not.
     pub(super) fn path_duration(&self) -> Option<f64> {
-        self.table.reference().duration()
+        self.table.reference.duration()
     }
 
     /// The largest error so far, in m.

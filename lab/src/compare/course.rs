@@ -264,7 +264,8 @@ impl Course {
 /// A reference as a table over time: where its path is, and which point of it is nearest.
 #[derive(Clone, Debug)]
 pub(super) struct Table {
-    reference: Reference,
+    /// What it was made of.
+    pub(super) reference: Reference,
     samples: Vec<Sample>,
 }
 
@@ -299,11 +300,6 @@ impl Table {
             samples.push(sample);
         }
         Ok(Self { reference, samples })
-    }
-
-    /// What it was made of.
-    pub(super) const fn reference(&self) -> &Reference {
-        &self.reference
     }
 
     /// Where the reference is at a time, exactly.

@@ -323,13 +323,10 @@ impl<'a> Run<'a> {
         let (at, for_us) = self.loss;
         let start_us = self.drive.next_tick_us() + (at * 1e6) as u64;
         if for_us > 0 {
-            self.drive
-                .world_mut()
-                .cameras_mut()
-                .add_loss_window(LossWindow {
-                    start_us,
-                    end_us: start_us + for_us,
-                });
+            self.drive.world.cameras.add_loss_window(LossWindow {
+                start_us,
+                end_us: start_us + for_us,
+            });
         }
     }
 
@@ -338,13 +335,13 @@ impl<'a> Run<'a> {
         let part_us = self.delay_us.min(DELAY_STEP_US);
         if part_us > 0 {
             self.delay_us -= part_us;
-            self.drive.world_mut().car_mut().delay_pulses(part_us);
+            self.drive.world.car.delay_pulses(part_us);
         }
     }
 
     fn stop(&mut self) {
         let reason = self.drive.controller().pilot().reason();
-        let board = self.drive.world().board().telemetry();
+        let board = self.drive.world.board.telemetry();
         let reason = match (reason, board) {
             // The board stopped by itself, and knows why.
             (Some(Reason::BoardFailsafe), Some(board)) => board.stop_cause.name(),

@@ -260,7 +260,7 @@ impl Foreign<'_> {
         };
         let [x, y] = pose.position;
         let point = law.point(Position::new(x, y), pose.motion.yaw, pose.motion.sideslip);
-        let wanted = tracking.velocity(&self.table.reference().at(time), &point);
+        let wanted = tracking.velocity(&self.table.reference.at(time), &point);
         match law.command(&pose.motion, &wanted) {
             Ok(command) => [
                 command.steering.clamp(-MOST_STEERING, MOST_STEERING),

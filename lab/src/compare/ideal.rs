@@ -115,7 +115,7 @@ impl<'a> Controller<'a> {
                     actuators: None,
                     limits: &FREE,
                     fence: None,
-                    reference: table.reference(),
+                    reference: &table.reference,
                     period: f64::from(steps) * STEP_S,
                 })?;
                 Self::Front {
@@ -182,7 +182,7 @@ impl<'a> Controller<'a> {
                     *left = *steps;
                     *applied = tracking.step(&TrackingInput {
                         point: law.point(centre, state.yaw, car.steering),
-                        reference: &|ahead| table.reference().at(time + ahead),
+                        reference: &|ahead| table.reference.at(time + ahead),
                         applied: *applied,
                         period: f64::from(*steps) * STEP_S,
                     });

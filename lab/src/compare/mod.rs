@@ -14,11 +14,13 @@ mod plan;
 mod predictive;
 mod table;
 
-use std::{io, path::PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use singletrack_campaign::{Campaign, CampaignArgs, CampaignError};
-use singletrack_figures::output::{WriteError, make_folder, print, write};
+use singletrack_campaign::{Campaign, CampaignArgs};
+use singletrack_figures::output::{make_folder, write};
+
+use crate::{Result, print};
 
 pub use condition::Condition;
 pub use controller::{Controller, ControllerName};
@@ -26,7 +28,7 @@ pub use counted::{AddedDelay, DriveError, DriveResult, Effort, Errors, OwnPoint}
 pub use course::PathName;
 use course::TEST_PATHS;
 pub use drive::Decide;
-pub use plan::{BUDGET, CompareUnitError, Comparison, Row};
+pub use plan::{BUDGET, Comparison, Row};
 pub use table::{
     DELAYS_HEADER, DelayLine, HEADER, Line, csv, delays, delays_csv, delays_markdown, figure,
     lines, lines_with, markdown,
@@ -97,23 +99,6 @@ pub enum CompareFormat {
     Csv,
 }
 
-/// Why there is no comparison.
-#[derive(Debug, thiserror::Error)]
-pub enum CompareError {
-    /// A drive can't be simulated, or a file is not one of a comparison.
-    #[error(transparent)]
-    Campaign(#[from] CampaignError<CompareUnitError>),
-    /// A drive of the tuning can't be simulated.
-    #[error(transparent)]
-    Tune(#[from] DriveError),
-    /// A file can't be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-    /// Standard output can't be written.
-    #[error("can't write to standard output: {0}")]
-    Output(#[from] io::Error),
-}
-
 fn speed(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(speed) if (0.1..=2.0).contains(&speed) => Ok(speed),
@@ -139,11 +124,11 @@ const SPEEDS_M_S: [f64; 2] = [1.0, 1.5];
 /// # Errors
 ///
 /// A drive can't be simulated, or a file can't be read or written.
-pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
+pub fn run(args: &CompareArgs) -> Result {
     let controllers = Controller::value_variants();
     let controllers = or(&args.controllers, true, controllers, &[]);
     if args.tune {
-        return Ok(print(&plan::tune(&controllers, args.campaign.threads())?)?);
+        return print(&plan::tune(&controllers, args.campaign.threads())?);
     }
     if let Some(folder) = &args.out {
         // Before hours of work.
@@ -197,8 +182,8 @@ pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
             write(&folder.join(name), &text)?;
         }
     }
-    Ok(print(match args.format {
+    print(match args.format {
         CompareFormat::Csv => &csv,
         CompareFormat::Markdown => &markdown,
-    })?)
+    })
 }

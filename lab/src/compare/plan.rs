@@ -1,6 +1,6 @@
 //! What is compared: the rows, the drives of each, and the tuning of the controllers.
 
-use std::fmt::Write as _;
+use std::fmt::{Display, Write as _};
 
 use serde::{Deserialize, Serialize};
 use singletrack_campaign::{Experiment, Progress, run_units};
@@ -9,10 +9,11 @@ use singletrack_control::Reference;
 use super::{
     condition::Condition,
     controller::{Controller, ControllerName, Drives},
-    counted::{DriveError, DriveResult, OwnPoint},
+    counted::{DriveResult, OwnPoint},
     course::{Course, PathName},
     drive::{Case, Decide},
 };
+use crate::Result;
 
 /// A comparison: every controller on every path at every speed under every condition, with
 /// the same seeds.
@@ -80,7 +81,6 @@ impl Comparison {
     }
 
     /// Whether a unit is a drive of the program's own controller.
-    #[must_use]
     pub fn is_yours(&self, unit: u64) -> bool {
         self.case(unit)
             .is_ok_and(|case| matches!(case.drives, Drives::Yours(_)))
@@ -91,11 +91,11 @@ impl Comparison {
     /// # Errors
     ///
     /// There is no such unit.
-    pub fn path(&self, unit: u64) -> Result<(Reference, f64), CompareUnitError> {
+    pub fn path(&self, unit: u64) -> Result<(Reference, f64)> {
         let case = self.case(unit)?;
         let course = Course::new(case.path, case.speed_m_s);
         let reference = course.reference.reference();
-        let reference = reference.map_err(|error| CompareUnitError::of(unit, error.into()))?;
+        let reference = reference.map_err(of(unit))?;
         Ok((reference, course.counted[1]))
     }
 
@@ -110,17 +110,17 @@ impl Comparison {
         unit: u64,
         own: OwnPoint,
         decide: &mut Decide<'_>,
-    ) -> Result<DriveResult, CompareUnitError> {
+    ) -> Result<DriveResult> {
         let case = Case {
             drives: Drives::Yours(own),
             ..self.case(unit)?
         };
         let result = case.drive_by(decide);
-        result.map_err(|error| CompareUnitError::of(unit, error))
+        Ok(result.map_err(of(unit))?)
     }
 
     /// The row and the seed of a unit.
-    fn case(&self, unit: u64) -> Result<Case, CompareUnitError> {
+    fn case(&self, unit: u64) -> Result<Case> {
         let mut index = unit;
         let mut rows = self.rows();
         let row = rows.find(|row| {
@@ -131,7 +131,7 @@ impl Comparison {
             }
             own
         });
-        let row = row.ok_or(CompareUnitError::NoUnit(unit))?;
+        let row = row.ok_or_else(|| format!("there is no drive {unit} in this comparison"))?;
         Ok(Case {
             drives: row.controller.drives(),
             path: row.path,
@@ -149,42 +149,23 @@ fn is_driven(controller: Controller, path: PathName, condition: Condition) -> bo
     controller.drives_under(condition) && !(searched && path == PathName::InfeasibleCircle)
 }
 
-/// Why a drive has no result.
-#[derive(Debug, thiserror::Error)]
-pub enum CompareUnitError {
-    /// There is no such drive.
-    #[error("there is no drive {0} in this comparison")]
-    NoUnit(u64),
-    /// It can't be simulated.
-    #[error("drive {unit}: {source}")]
-    Drive {
-        /// The unit.
-        unit: u64,
-        /// Why.
-        source: Box<DriveError>,
-    },
-}
-
-impl CompareUnitError {
-    fn of(unit: u64, source: DriveError) -> Self {
-        let source = Box::new(source);
-        Self::Drive { unit, source }
-    }
+/// Says which drive failed.
+fn of<E: Display>(unit: u64) -> impl Fn(E) -> String {
+    move |error| format!("drive {unit}: {error}")
 }
 
 impl Experiment for Comparison {
     const NAME: &'static str = "compare";
     type Result = DriveResult;
-    type Error = CompareUnitError;
 
     fn units(&self) -> u64 {
         let seeds = self.rows().map(|row| self.seeds_under(row.condition));
         seeds.sum()
     }
 
-    fn run(&self, unit: u64) -> Result<DriveResult, CompareUnitError> {
+    fn run(&self, unit: u64) -> Result<DriveResult> {
         let result = self.case(unit)?.drive();
-        result.map_err(|error| CompareUnitError::of(unit, error))
+        Ok(result.map_err(of(unit))?)
     }
 }
 
@@ -217,7 +198,7 @@ struct Tried {
 /// # Errors
 ///
 /// A drive can't be simulated.
-pub(super) fn tune(controllers: &[Controller], threads: usize) -> Result<String, DriveError> {
+pub(super) fn tune(controllers: &[Controller], threads: usize) -> Result<String> {
     let controllers = controllers
         .iter()
         .filter_map(|controller| match controller {
@@ -265,7 +246,7 @@ pub(super) fn tune(controllers: &[Controller], threads: usize) -> Result<String,
 }
 
 /// The mean of the root mean squares over the drives, in m.
-fn cost(tried: &Tried) -> Result<f64, DriveError> {
+fn cost(tried: &Tried) -> Result<f64> {
     let mut sum = 0.0;
     for (path, speed_m_s) in DRIVES {
         let case = Case {

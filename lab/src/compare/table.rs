@@ -71,7 +71,6 @@ fn by_row<'a>(
 
 /// Two lines per row: the front axle, then the controller's own point. After those of a path and
 /// a speed, the worst of some conditions for each controller.
-#[must_use]
 pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
     let rows = by_row(plan, results);
     let rows: Vec<_> = rows
@@ -116,7 +115,6 @@ pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
 }
 
 /// The same, in which the program's own controller has this name.
-#[must_use]
 pub fn lines_with(plan: &Comparison, results: &[(u64, DriveResult)], yours: &str) -> Vec<Line> {
     let mut lines = lines(plan, results);
     for line in &mut lines {
@@ -276,7 +274,6 @@ fn interval(values: &[f64]) -> [f64; 2] {
 }
 
 /// With every digit, for programs. A field is empty if no drive came to the end.
-#[must_use]
 pub fn csv(lines: &[Line]) -> String {
     let mut text = format!("{HEADER}\n");
     for line in lines {
@@ -309,7 +306,6 @@ fn in_units(value: Option<f64>) -> String {
 
 /// In millimetres, for a page: a table per path, speed and condition, ranked by the distance of the
 /// front axle from the path, which is the same point of the car for every controller.
-#[must_use]
 pub fn markdown(lines: &[Line]) -> String {
     let mut text = String::new();
     let case = |line: &Line| {
@@ -384,7 +380,6 @@ const HEIGHT_MM: f64 = 38.0;
 
 /// The nominal condition: a panel per path, in it the controllers, and of each a mark per speed.
 /// `None` if that condition was not driven.
-#[must_use]
 pub fn figure(lines: &[Line]) -> Option<Figure> {
     let shown = lines.iter().filter(|line| {
         line.row.condition == Condition::Nominal && line.worst_of.is_none() && line.front_axle
@@ -482,7 +477,6 @@ pub struct DelayLine {
 }
 
 /// A line per row whose delay was searched.
-#[must_use]
 pub fn delays(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<DelayLine> {
     let mut lines = Vec::new();
     for (row, results) in by_row(plan, results) {
@@ -512,7 +506,6 @@ pub fn delays(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<DelayLin
 }
 
 /// For programs.
-#[must_use]
 pub fn delays_csv(lines: &[DelayLine]) -> String {
     let mut text = format!("{DELAYS_HEADER}\n");
     for line in lines {
@@ -536,7 +529,6 @@ pub fn delays_csv(lines: &[DelayLine]) -> String {
 
 /// For a page: a table with a row per path and speed, and a column per controller. Empty if no
 /// delay was searched.
-#[must_use]
 pub fn delays_markdown(lines: &[DelayLine]) -> String {
     let mut text = String::new();
     let Some(first) = lines.first() else {

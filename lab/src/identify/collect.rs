@@ -16,7 +16,8 @@ use singletrack_figures::plot;
 use singletrack_pilot::{BoardSample, Event};
 use singletrack_record::{Entry, Reader, TelemetryRecord, TickRecord, Topic, seconds_since};
 
-use super::{Identified, IdentifyError, LogScore};
+use super::{Identified, LogScore};
+use crate::Result;
 
 /// A drive of a record.
 #[derive(Clone, Debug)]
@@ -46,28 +47,33 @@ const LEAD_NS: u64 = 1_000_000_000;
 /// # Errors
 ///
 /// When there is none, or the record can't be read.
-pub fn read(
-    path: &Path,
-    number: Option<usize>,
-    config: Option<&Config>,
-) -> Result<RecordedDrive, IdentifyError> {
+pub fn read(path: &Path, number: Option<usize>, config: Option<&Config>) -> Result<RecordedDrive> {
     let record = plot::Record::read(path)?;
     let (number, drive) = record.choose(number)?;
-    let unusable = |source| IdentifyError::Configuration {
-        path: path.to_owned(),
-        source: Box::new(source),
+    let name = path.display();
+    let unusable = |error: ConfigError| {
+        format!(
+            "the configuration in {name}, which has the servo's calibration, is not one that this \
+             version of singletrack takes: {error}"
+        )
     };
     let config = match config {
         Some(config) => config.clone(),
         None => {
             let toml = record.configuration(drive);
-            let toml = toml.ok_or_else(|| IdentifyError::NoConfiguration {
-                path: path.to_owned(),
-                drive: number,
+            let toml = toml.ok_or_else(|| {
+                format!(
+                    "{name} does not hold the configuration that drive {number} was driven with: \
+                     choose another with --drive"
+                )
             })?;
             let empty = |line: &str| line.trim().is_empty() || line.starts_with('#');
             if toml.lines().all(empty) {
-                return Err(IdentifyError::Imported(path.to_owned()));
+                return Err(format!(
+                    "{name} was imported and holds no configuration of a car: give it with --config \
+                     CAR.toml"
+                )
+                .into());
             }
             Config::from_toml(toml).map_err(unusable)?
         }
@@ -264,13 +270,11 @@ impl Collector {
     }
 
     /// The periods that begin a servo pulse, if no board has recorded its own.
-    #[must_use]
     pub fn frames(&self) -> Option<ServoFrames> {
         self.board.is_none().then_some(ServoFrames::Every)
     }
 
     /// Whether the record has samples of an accelerometer.
-    #[must_use]
     pub fn has_accelerometer(&self) -> bool {
         let mut samples = self.data.inertial.iter().chain(&self.of_ticks.inertial);
         samples.any(|sample| !sample.forward_m_s2.is_nan())
@@ -374,13 +378,10 @@ impl Drives {
         self.frames = self.frames.filter(|frames| drive.frames == Some(*frames));
     }
 
-    pub(super) fn failed(&self, source: IdentificationError) -> IdentifyError {
+    pub(super) fn failed(&self, error: &IdentificationError) -> String {
         let records = self.parts.iter();
         let records = records.map(|part| format!("{}, drive {}", part.path.display(), part.drive));
-        IdentifyError::Identification {
-            records: records.collect::<Vec<_>>().join(", "),
-            source,
-        }
+        format!("{}: {error}", records.collect::<Vec<_>>().join(", "))
     }
 
     pub(super) fn identified(self, identification: Identification) -> Identified {

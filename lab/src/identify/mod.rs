@@ -14,16 +14,12 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
-use singletrack_analysis::identification::{self, IdentificationError, Parameter, Settings, Tyres};
+use singletrack_analysis::identification::{self, Parameter, Settings, Tyres};
 use singletrack_control::SlipAngles;
-use singletrack_core::{Config, ConfigError};
-use singletrack_figures::{
-    output::{WriteError, make_folder, print, write as write_file},
-    plot::PlotError,
-};
-use singletrack_record::RecordError;
+use singletrack_core::Config;
+use singletrack_figures::output::{WriteError, make_folder, write as write_file};
 
-use crate::vehicle_file::{self, VehicleFileError};
+use crate::{Result, print, vehicle_file};
 
 use collect::Drives;
 pub use collect::{Collector, RecordedDrive, read};
@@ -94,10 +90,9 @@ pub struct IdentifyArgs {
 }
 
 /// The tyres' force over their slip.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum TyreKind {
     /// Linear for small slip, at most the friction's share of the load.
-    #[default]
     Saturating,
     /// Linear throughout, as in the paper.
     Linear,
@@ -106,7 +101,7 @@ pub enum TyreKind {
 }
 
 impl TyreKind {
-    const fn tyres(self) -> Tyres {
+    pub(crate) const fn tyres(self) -> Tyres {
         match self {
             Self::Saturating => Tyres::Saturating,
             Self::Linear => Tyres::Linear,
@@ -116,17 +111,16 @@ impl TyreKind {
 }
 
 /// The slip angles of the model.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum SlipAngleKind {
     /// sin x = x and cos x = 1, as in the paper.
-    #[default]
     Small,
     /// Angles between the wheels and the velocities of the axles.
     Exact,
 }
 
 impl SlipAngleKind {
-    const fn angles(self) -> SlipAngles {
+    pub(crate) const fn angles(self) -> SlipAngles {
         match self {
             Self::Small => SlipAngles::Small,
             Self::Exact => SlipAngles::Exact,
@@ -143,88 +137,13 @@ pub enum IdentifyFormat {
     Json,
 }
 
-/// Why the identification failed.
-#[derive(Debug, thiserror::Error)]
-pub enum IdentifyError {
-    /// The record has no such drive.
-    #[error(transparent)]
-    Drive(#[from] PlotError),
-    /// The record can't be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The configuration that was given can't be used.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The configuration in the record can't be used.
-    #[error(
-        "the configuration in {}, which has the servo's calibration, is not one that this version \
-         of singletrack takes: {source}",
-        path.display()
-    )]
-    Configuration {
-        /// The record.
-        path: PathBuf,
-        /// Why the daemon rejects it.
-        source: Box<ConfigError>,
-    },
-    /// A record is given twice.
-    #[error("{} is given twice: a drive that is counted twice makes the intervals too narrow, and one that is fitted does not validate", .0.display())]
-    Twice(PathBuf),
-    /// An imported record has no configuration.
-    #[error("{} was imported and holds no configuration of a car: give it with --config CAR.toml", .0.display())]
-    Imported(PathBuf),
-    /// The record does not hold the configuration of the drive.
-    #[error(
-        "{} does not hold the configuration that drive {drive} was driven with: choose another with --drive",
-        path.display()
-    )]
-    NoConfiguration {
-        /// The record.
-        path: PathBuf,
-        /// The drive's number, from 1.
-        drive: usize,
-    },
-    /// The vehicle file.
-    #[error(transparent)]
-    Vehicle(#[from] VehicleFileError),
-    /// No record is given.
-    #[error("give the record of a drive")]
-    NoRecord,
-    /// An invalid speed.
-    #[error("--least-speed is {0}: it must be between 0 and 100 m/s")]
-    LeastSpeed(f64),
-    /// The drive does not determine the parameters.
-    #[error("{records}: {source}")]
-    Identification {
-        /// The records, and which drives in them.
-        records: String,
-        /// Why.
-        source: IdentificationError,
-    },
-    /// A file can't be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-    /// The car has no TOML.
-    #[error("can't write a vehicle file: {0}")]
-    Toml(#[from] toml::ser::Error),
-    /// The folder has a vehicle file that this command did not write.
-    #[error(
-        "{} is not of an earlier identification; choose another folder with --out, or rename it",
-        .0.display()
-    )]
-    Foreign(PathBuf),
-    /// Standard output can't be written.
-    #[error("can't write to standard output: {0}")]
-    Output(#[from] io::Error),
-}
-
 /// Identifies, prints and writes the result. Progress and warnings go to standard
 /// error.
 ///
 /// # Errors
 ///
 /// When a record can't be used, or a file can't be written.
-pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
+pub fn run(args: &IdentifyArgs) -> Result {
     if let Some(folder) = &args.out {
         prepare(folder)?;
     }
@@ -263,9 +182,10 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
 /// # Errors
 ///
 /// As [`run`].
-pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
+pub fn identify(args: &IdentifyArgs) -> Result<Report> {
     if !(0.0..=100.0).contains(&args.least_speed) {
-        return Err(IdentifyError::LeastSpeed(args.least_speed));
+        let speed = args.least_speed;
+        return Err(format!("--least-speed is {speed}: it must be between 0 and 100 m/s").into());
     }
     let given = args
         .vehicle
@@ -278,17 +198,22 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
         // The same file by another name is the same.
         let file = path.canonicalize().unwrap_or_else(|_| path.clone());
         if given_before.contains(&file) {
-            return Err(IdentifyError::Twice(path.clone()));
+            let path = path.display();
+            return Err(format!(
+                "{path} is given twice: a drive that is counted twice makes the intervals too narrow, \
+                 and one that is fitted does not validate"
+            )
+            .into());
         }
         given_before.push(file);
     }
     let read_all = |paths: &[PathBuf], number| {
         let drives = paths.iter();
         let drives = drives.map(|path| read(path, number, config.as_ref()).map(told));
-        drives.collect::<Result<Vec<_>, IdentifyError>>()
+        drives.collect::<Result<Vec<_>>>()
     };
     let mut recorded = read_all(&args.record, args.drive)?.into_iter();
-    let first = recorded.next().ok_or(IdentifyError::NoRecord)?;
+    let first = recorded.next().ok_or("give the record of a drive")?;
     let drives = Drives::of(first, recorded.collect());
     let vehicle = given.unwrap_or(drives.vehicle);
     let settings = Settings {
@@ -307,7 +232,7 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
         names.collect::<Vec<_>>().join(", ")
     ));
     let identification = identification::identify(&drives.data, &vehicle, &settings)
-        .map_err(|source| drives.failed(source))?;
+        .map_err(|error| drives.failed(&error))?;
     wait.finish_and_clear();
     let nominal = args
         .validate_nominal
@@ -323,13 +248,13 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
         if let Some(nominal) = &nominal {
             match identification::validate(&other.data, nominal, &settings) {
                 Ok(found) => nominal_validated.push(other.clone().identified(found)),
-                Err(source) => not_validated.push(other.failed(source)),
+                Err(error) => not_validated.push(other.failed(&error)),
             }
         }
         match identification::validate(&other.data, &identification, &settings) {
             Ok(found) => validated.push(other.identified(found)),
             // What was identified stands.
-            Err(source) => not_validated.push(other.failed(source)),
+            Err(error) => not_validated.push(other.failed(&error)),
         }
     }
     Ok(Report {
@@ -344,13 +269,18 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
 
 /// Checks, before anything is computed, that `folder` can be written to and has no
 /// vehicle file of the user's that would be lost.
-fn prepare(folder: &Path) -> Result<(), IdentifyError> {
+fn prepare(folder: &Path) -> Result {
     make_folder(folder)?;
     tempfile::tempfile_in(folder).map_err(WriteError::of(folder))?;
     let vehicle = folder.join(VEHICLE_FILE);
     match fs::read(&vehicle) {
         Ok(text) if !text.starts_with(output::VEHICLE_FILE_BEGINS.as_bytes()) => {
-            Err(IdentifyError::Foreign(vehicle))
+            let vehicle = vehicle.display();
+            Err(format!(
+                "{vehicle} is not of an earlier identification; choose another folder with --out, or \
+                 rename it"
+            )
+            .into())
         }
         _ => Ok(()),
     }
@@ -364,7 +294,7 @@ const VEHICLE_FILE: &str = "identified.toml";
 /// # Errors
 ///
 /// When one can't be written.
-pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, IdentifyError> {
+pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>> {
     make_folder(folder)?;
     // Figures of validations that this one does not have.
     if folder.join("identification.json").exists() {

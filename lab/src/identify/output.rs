@@ -9,7 +9,6 @@ use singletrack_analysis::identification::{
 };
 use singletrack_control::VehicleParameters;
 
-use super::IdentifyError;
 use crate::vehicle_file;
 
 /// Drives and their identification.
@@ -46,7 +45,7 @@ pub struct Report {
     /// Validation of the nominal car, if it was asked for, on those drives that it can be.
     pub nominal_validated: Vec<Identified>,
     /// Why there is no validation on the others.
-    pub not_validated: Vec<IdentifyError>,
+    pub not_validated: Vec<String>,
 }
 
 impl Report {
@@ -212,7 +211,7 @@ fn score(score: &Score) -> Value {
 pub(super) const VEHICLE_FILE_BEGINS: &str = "# Identified by singletrack ";
 
 /// A vehicle file, which a daemon's configuration can use.
-pub(super) fn vehicle_file(report: &Report) -> Result<String, toml::ser::Error> {
+pub(super) fn vehicle_file(report: &Report) -> crate::Result<String> {
     let identification = &report.identified.identification;
     let vehicle = identification.vehicle();
     let logs = report.identified.logs.iter();

@@ -4,7 +4,7 @@
 #![deny(clippy::disallowed_methods, reason = "simulated drives begin here")]
 
 use std::{
-    error::Error,
+    fmt::Display,
     path::Path,
     sync::atomic::{AtomicUsize, Ordering},
 };
@@ -15,10 +15,11 @@ use singletrack_analysis::identification::{
 };
 use singletrack_campaign::{Experiment, run_units, thread_count};
 use singletrack_control::{SlipAngles, Tyres, VehicleParameters};
-use singletrack_scenario::simulate::{Scenario, ScenarioError, drive_entries};
+use singletrack_scenario::simulate::{Scenario, drive_entries};
 use singletrack_sim::{CameraParameters, CarTruth, ImuParameters, ServoParameters};
 
 use super::Collector;
+use crate::Result;
 
 /// The drive for the identification.
 pub const SCENARIO: &str = include_str!("../../../tools/scenarios/identify-car.toml");
@@ -115,41 +116,20 @@ pub struct Summary {
     pub bound: f64,
 }
 
-/// Why there is no study.
-#[derive(Debug, thiserror::Error)]
-pub enum StudyError {
-    /// A scenario is invalid.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// A drive can't be simulated, or does not determine the parameters.
-    #[error("seed {seed}: {source}")]
-    Seed {
-        /// Under which seed.
-        seed: u64,
-        /// Why.
-        source: Box<dyn Error + Send + Sync>,
-    },
-}
-
-impl StudyError {
-    fn under(seed: u64, source: impl Error + Send + Sync + 'static) -> Self {
-        Self::Seed {
-            seed,
-            source: Box::new(source),
-        }
-    }
+/// Says with which seed it failed.
+fn under<E: Display>(seed: u64) -> impl Fn(E) -> String {
+    move |error| format!("seed {seed}: {error}")
 }
 
 impl Experiment for StudyPlan {
     const NAME: &'static str = "identify-study";
     type Result = SeedResult;
-    type Error = StudyError;
 
     fn units(&self) -> u64 {
         self.count
     }
 
-    fn run(&self, unit: u64) -> Result<SeedResult, StudyError> {
+    fn run(&self, unit: u64) -> Result<SeedResult> {
         one(self, self.first_seed.wrapping_add(unit))
     }
 }
@@ -159,7 +139,7 @@ impl Experiment for StudyPlan {
 /// # Errors
 ///
 /// The first drive that does not determine the parameters.
-pub fn run_study(plan: &StudyPlan, progress: impl Fn(usize) + Sync) -> Result<Study, StudyError> {
+pub fn run_study(plan: &StudyPlan, progress: impl Fn(usize) + Sync) -> Result<Study> {
     let done = AtomicUsize::new(0);
     let units: Vec<u64> = (0..plan.count).collect();
     let run = |unit| plan.run(unit);
@@ -169,7 +149,7 @@ pub fn run_study(plan: &StudyPlan, progress: impl Fn(usize) + Sync) -> Result<St
     Study::of(results.into_iter().map(|(_, result)| result).collect())
 }
 
-fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult, StudyError> {
+fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult> {
     let truth = scenario(SCENARIO, 0)?.vehicle;
     let start = start(truth);
     let settings = Settings {
@@ -177,9 +157,8 @@ fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult, StudyError> {
         slip_angles: plan.fitted_slip_angles,
         ..Settings::default()
     };
-    let failed = |source| StudyError::under(seed, source);
     let data = simulated(plan, SCENARIO, seed)?;
-    let identification = identification::identify(&data, &start, &settings).map_err(failed)?;
+    let identification = identification::identify(&data, &start, &settings).map_err(under(seed))?;
     let bounds = identification::cramer_rao(
         &data,
         &true_values(&truth, &identification.values),
@@ -187,11 +166,11 @@ fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult, StudyError> {
         identification.frames,
         &settings,
     )
-    .map_err(failed)?;
+    .map_err(under(seed))?;
     // A seed that no other drive of the study has.
     let other = simulated(plan, VALIDATION, seed ^ 1 << 40)?;
     let validation =
-        identification::validate(&other, &identification, &settings).map_err(failed)?;
+        identification::validate(&other, &identification, &settings).map_err(under(seed))?;
     let mut of_vehicle = bounds.into_iter();
     let estimates = identification.estimates.iter();
     let warnings = identification.warnings.iter();
@@ -222,7 +201,7 @@ pub(crate) fn start(truth: VehicleParameters) -> VehicleParameters {
     }
 }
 
-fn scenario(text: &str, seed: u64) -> Result<Scenario, ScenarioError> {
+fn scenario(text: &str, seed: u64) -> Result<Scenario> {
     let mut scenario = Scenario::from_toml(text, Path::new("identify-car"))?;
     scenario.run.seed = seed;
     Ok(scenario)
@@ -239,14 +218,13 @@ pub(crate) fn differ(scenario: &mut Scenario, tyres: Tyres, slip_angles: SlipAng
 }
 
 /// The data that a record of the drive would have, without a file.
-fn simulated(plan: &StudyPlan, text: &str, seed: u64) -> Result<DriveData, StudyError> {
+fn simulated(plan: &StudyPlan, text: &str, seed: u64) -> Result<DriveData> {
     let mut scenario = scenario(text, seed)?;
     differ(&mut scenario, plan.tyre_curve, plan.slip_angles);
     let mut entries = Vec::new();
-    let config = drive_entries(&scenario, &mut |entry| entries.push(entry.clone()))
-        .map_err(|source| StudyError::under(seed, source))?;
-    let mut collector =
-        Collector::new(&config, 0).map_err(|source| StudyError::under(seed, source))?;
+    let config =
+        drive_entries(&scenario, &mut |entry| entries.push(entry.clone())).map_err(under(seed))?;
+    let mut collector = Collector::new(&config, 0).map_err(under(seed))?;
     for entry in &entries {
         collector.take(entry);
     }
@@ -302,7 +280,6 @@ fn simulated_noise(speed: f64) -> NoiseLevels {
 
 impl SeedResult {
     /// The estimate of a parameter, if it was identified.
-    #[must_use]
     pub fn estimate(&self, parameter: Parameter) -> Option<&SeedEstimate> {
         let mut estimates = self.estimates.iter();
         estimates.find(|estimate| estimate.parameter == parameter.name())
@@ -315,13 +292,12 @@ impl Study {
     /// # Errors
     ///
     /// The scenario with the true car is invalid.
-    pub fn of(seeds: Vec<SeedResult>) -> Result<Self, StudyError> {
+    pub fn of(seeds: Vec<SeedResult>) -> Result<Self> {
         let truth = scenario(SCENARIO, 0)?.vehicle;
         Ok(Self { truth, seeds })
     }
 
     /// Statistics of `C_f`, `C_r` and `I_z` over all seeds.
-    #[must_use]
     pub fn summaries(&self) -> [Summary; 3] {
         let values = Values::of(&self.truth);
         let count = self.seeds.len().max(1) as f64;
@@ -360,7 +336,6 @@ impl Study {
 
     /// Mean of the normalised mean prediction errors on the drives for identification
     /// and for validation.
-    #[must_use]
     pub fn nmpe(&self) -> [f64; 2] {
         let count = self.seeds.len().max(1) as f64;
         let mean =

@@ -11,15 +11,16 @@ mod score;
 
 use std::{
     fmt::Write as _,
-    io,
     path::{Path, PathBuf},
 };
 
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_core::{Config, ConfigError};
-use singletrack_figures::{figure::Figure, output::print};
-use singletrack_record::{Reader, RecordError};
+use singletrack_core::Config;
+use singletrack_figures::figure::Figure;
+use singletrack_record::Reader;
+
+use crate::{Result, print};
 
 pub use bends::Bends;
 pub use run::Stop;
@@ -88,51 +89,6 @@ pub enum Format {
     Json,
 }
 
-/// Why a log can't be judged.
-#[derive(Debug, thiserror::Error)]
-pub enum JudgeError {
-    /// The record can't be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The configuration is not one.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The record has no configuration that is one.
-    #[error(
-        "{}: its configuration is none of this version's ({source}); give one with --config",
-        path.display()
-    )]
-    Recorded {
-        /// The record.
-        path: PathBuf,
-        /// What the daemon says of it.
-        source: Box<ConfigError>,
-    },
-    /// Nothing to judge.
-    #[error(
-        "{}: the record has no {what}, and without them nothing can be judged; \
-         `singletrack dump --stats` counts what it has",
-        path.display()
-    )]
-    Empty {
-        /// The record.
-        path: PathBuf,
-        /// What it lacks.
-        what: &'static str,
-    },
-    /// The figure can't be written.
-    #[error("can't write {}: {source}; choose another --figure", path.display())]
-    Figure {
-        /// Where.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// Standard output.
-    #[error("standard output: {0}")]
-    Output(#[from] io::Error),
-}
-
 /// Judges a part of a record with the configuration of a car. `progress` is told the tick, and how many
 /// there are.
 ///
@@ -144,24 +100,28 @@ pub fn judge(
     config: &Config,
     part: Part,
     mut progress: impl FnMut(usize, usize),
-) -> Result<(Verdict, Figure), JudgeError> {
+) -> Result<(Verdict, Figure)> {
     let log = Log::read(record, part)?;
-    let empty = |what| JudgeError::Empty {
-        path: record.to_owned(),
-        what,
+    let name = record.display();
+    let empty = |what| {
+        format!(
+            "{name}: the record has no {what}, and without them nothing can be judged; \
+             `singletrack dump --stats` counts what it has"
+        )
     };
     if log.ticks.is_empty() {
         let is_cut = [part.from_s, part.to_s] != [WHOLE.from_s, WHOLE.to_s];
-        return Err(empty(match is_cut {
+        let what = match is_cut {
             true => "ticks between --from and --to",
             false => "ticks",
-        }));
+        };
+        return Err(empty(what).into());
     }
     if log.ticks.iter().all(|tick| !tick.has_board()) {
-        return Err(empty("samples of the board"));
+        return Err(empty("samples of the board").into());
     }
     if log.frames.is_empty() {
-        return Err(empty("frames of the cameras"));
+        return Err(empty("frames of the cameras").into());
     }
     let pilot = config.pilot()?;
     let estimator = pilot.estimator;
@@ -177,7 +137,7 @@ pub fn judge(
 /// # Errors
 ///
 /// Those of [`judge`], and what can't be written.
-pub fn run(args: &JudgeArgs) -> Result<(), JudgeError> {
+pub fn run(args: &JudgeArgs) -> Result {
     let config = match &args.config {
         Some(path) => Config::read(path)?,
         None => recorded(&args.record)?,
@@ -202,26 +162,26 @@ pub fn run(args: &JudgeArgs) -> Result<(), JudgeError> {
     let (verdict, figure) = result?;
     let beside = || args.record.with_extension("judge.svg");
     let path = args.figure.clone().unwrap_or_else(beside);
-    std::fs::write(&path, figure.to_svg()).map_err(|source| JudgeError::Figure {
-        path: path.clone(),
-        source,
+    std::fs::write(&path, figure.to_svg()).map_err(|error| {
+        let path = path.display();
+        format!("can't write {path}: {error}; choose another --figure")
     })?;
     let told = match args.format {
         Format::Text => text(&verdict, &args.record, &path),
-        Format::Json => {
-            let json = serde_json::to_string(&verdict).map_err(io::Error::other)?;
-            format!("{json}\n")
-        }
+        Format::Json => serde_json::to_string(&verdict)? + "\n",
     };
-    Ok(print(&told)?)
+    print(&told)
 }
 
 /// The configuration in a record.
-fn recorded(record: &Path) -> Result<Config, JudgeError> {
-    let toml = Reader::open(record)?.meta().configuration.clone();
-    Config::from_toml(&toml).map_err(|source| JudgeError::Recorded {
-        path: record.to_owned(),
-        source: Box::new(source),
+fn recorded(record: &Path) -> Result<Config> {
+    let toml = Reader::open(record)?.meta.configuration.clone();
+    Config::from_toml(&toml).map_err(|error| {
+        let name = record.display();
+        format!(
+            "{name}: its configuration is none of this version's ({error}); give one with --config"
+        )
+        .into()
     })
 }
 

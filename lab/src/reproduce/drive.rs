@@ -1,17 +1,18 @@
 //! Drives of experiments in virtual time, on either plant.
 
+use std::path::Path;
+
 use singletrack_control::{Estimate, Position, VehicleParameters, front_point};
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
-use singletrack_record::{Entry, Reader, RecordError, Topic};
+use singletrack_record::{Entry, Reader, Topic};
 use singletrack_scenario::simulate::{
-    self, ControlSection, HEADER, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
-    Scenario, SimulateError, StartSection,
+    self, ControlSection, HEADER, IdealError, MarkerLoss, PlantKind, Row, RunSection, Scenario,
+    SimulateError, StartSection,
 };
-use singletrack_sim::BoardKind;
 use singletrack_statistics::RootMeanSquare;
 
 use super::{Setup, largest};
-use crate::table::Table;
+use crate::{Result, table::Table};
 
 /// An experiment, independent of the plant.
 #[derive(Clone, Debug)]
@@ -94,29 +95,18 @@ impl Drives {
     }
 }
 
+/// The paper's circle: continuous control of the ideal plant, and nothing else.
+const CIRCLE: &str = include_str!("../../../tools/scenarios/circle.toml");
+
 /// Period of the controller on the car, in ms.
 const PERIOD_MS: u32 = 10;
 /// Interval of the rows, in s.
 const ROW_S: f64 = 0.05;
 
-/// Why a drive has no result.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum DriveError {
-    /// The drive can't be simulated.
-    #[error(transparent)]
-    Simulate(#[from] SimulateError),
-    /// Its record can't be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// There is no room for the record.
-    #[error("can't make a temporary folder: {0}")]
-    Temporary(std::io::Error),
-}
-
 impl Experiment {
     /// On the ideal plant.
-    fn scenario(&self, setup: &Setup) -> Scenario {
-        Scenario {
+    fn scenario(&self, setup: &Setup) -> Result<Scenario> {
+        Ok(Scenario {
             law: LawSection {
                 kind: self.law,
                 point_distance_m: self.point_distance_m,
@@ -128,42 +118,20 @@ impl Experiment {
                 point_p_m: self.start_m,
                 yaw_deg: self.yaw_deg,
             },
-            control: ControlSection::new(0),
-            plant: PlantSection {
-                kind: PlantKind::Ideal,
-                board: BoardKind::Native,
-            },
             run: RunSection {
                 duration_s: self.duration_s,
                 seed: 1,
             },
-            marker_loss: Vec::new(),
             vehicle: setup.vehicle,
             believed_vehicle: self.believed,
-            truth: None,
-            simulation: None,
-            operator: None,
-            tune: Vec::new(),
-            tuning: None,
-            online_calibration: None,
-            governor: None,
-            safety_filter: None,
-            limits: None,
-            estimator: None,
-            supervisor: None,
-            watch: None,
-            fence: None,
-            board: None,
-            motion_capture: None,
-            actuators: None,
-            compensation: None,
-        }
+            ..Scenario::from_toml(CIRCLE, Path::new("circle.toml"))?
+        })
     }
 
     /// Drives it on the paper's equations with continuous control, as far as they have a
     /// solution.
-    pub(super) fn ideal(&self, setup: &Setup) -> Result<Run, DriveError> {
-        let mut scenario = self.scenario(setup);
+    pub(super) fn ideal(&self, setup: &Setup) -> Result<Run> {
+        let mut scenario = self.scenario(setup)?;
         let mut ended = None;
         let rows = loop {
             match simulate::simulate(&scenario) {
@@ -198,15 +166,16 @@ impl Experiment {
     }
 
     /// Drives it with the whole pilot on the simulated car, board and cameras.
-    pub(super) fn car(&self, setup: &Setup) -> Result<Run, DriveError> {
+    pub(super) fn car(&self, setup: &Setup) -> Result<Run> {
         // The paper's controller compensates neither clock nor actuators.
         let off = ["clock", "actuation"].map(|key| (key.to_owned(), false.into()));
-        let mut scenario = self.scenario(setup);
+        let mut scenario = self.scenario(setup)?;
         scenario.plant.kind = PlantKind::Car;
         scenario.control = ControlSection::new(PERIOD_MS);
         scenario.marker_loss.clone_from(&self.losses);
         scenario.compensation = Some(off.into_iter().collect());
-        let folder = tempfile::tempdir().map_err(DriveError::Temporary)?;
+        let folder = tempfile::tempdir()
+            .map_err(|error| format!("can't make a temporary folder: {error}"))?;
         let path = folder.path().join("drive.mcap");
         let simulation = simulate::simulate_recorded(&scenario, &path)?;
         let mut seen = Vec::new();

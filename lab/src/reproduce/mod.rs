@@ -21,9 +21,8 @@ use std::{path::PathBuf, time::Duration};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_control::VehicleParameters;
-use singletrack_figures::output::WriteError;
 
-use crate::vehicle_file::{self, VehicleFileError};
+use crate::{Result, vehicle_file};
 use claims::Claim;
 use section::Section;
 
@@ -43,47 +42,13 @@ pub struct ReproduceArgs {
     pub quick: bool,
 }
 
-/// Why a reproduction failed.
-#[derive(Debug, thiserror::Error)]
-pub enum ReproduceError {
-    /// The car can't be used.
-    #[error(transparent)]
-    Vehicle(#[from] VehicleFileError),
-    /// A file or folder can't be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-    /// The folder holds files that this command did not write.
-    #[error(
-        "{} holds files that are not of an earlier reproduction ({found}); choose another folder \
-         with --out",
-        path.display()
-    )]
-    Foreign {
-        /// The folder.
-        path: PathBuf,
-        /// The first of these files.
-        found: String,
-    },
-    /// A claim's verdict is not the expected one.
-    #[error(
-        "{count} of the claims have another verdict than expected: see the lines marked with ! and {}",
-        report.display()
-    )]
-    Surprise {
-        /// The number of such claims.
-        count: usize,
-        /// The report.
-        report: PathBuf,
-    },
-}
-
 /// Reproduces the paper: the claims on standard output, all else in a folder.
 ///
 /// # Errors
 ///
 /// When a file can't be written, or when a claim's verdict is not the expected one; the
 /// files are then written nevertheless.
-pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
+pub fn run(args: &ReproduceArgs) -> Result {
     let vehicle = vehicle_file::read_or_paper(args.vehicle.as_deref())?;
     let mut setup = Setup {
         vehicle,
@@ -101,7 +66,12 @@ pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
     output::print(&reproduction, &report);
     match surprises(reproduction.claims()) {
         0 => Ok(()),
-        count => Err(ReproduceError::Surprise { count, report }),
+        count => Err(format!(
+            "{count} of the claims have another verdict than expected: see the lines marked with ! \
+             and {}",
+            report.display()
+        )
+        .into()),
     }
 }
 

@@ -1,6 +1,6 @@
 //! Model validation: the car identified from one drive, compared with another.
 
-use std::{error::Error, path::Path};
+use std::path::Path;
 
 use indicatif::ProgressBar;
 use singletrack_analysis::identification::{Identification, Output, Parameter};
@@ -16,8 +16,9 @@ use super::{
     text::with_digits,
 };
 use crate::{
+    Result,
     identify::{
-        self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, SlipAngleKind, TyreKind,
+        self, IdentifyArgs, IdentifyFormat, Report, SlipAngleKind, TyreKind,
         study::{self, SCENARIO, Study, StudyPlan, VALIDATION, run_study},
     },
     table::Table,
@@ -26,13 +27,7 @@ use crate::{
 
 /// Drives a scenario of the identification with the car, and writes its record. A car of another
 /// structure than the model has exact slip angles and other tyres, with the same stiffnesses.
-fn drive(
-    setup: &Setup,
-    text: &str,
-    seed: u64,
-    structure: Structure,
-    record: &Path,
-) -> Result<(), Box<dyn Error>> {
+fn drive(setup: &Setup, text: &str, seed: u64, structure: Structure, record: &Path) -> Result {
     let mut scenario = Scenario::from_toml(text, Path::new("identification"))?;
     scenario.vehicle = setup.vehicle;
     scenario.law.front_axle_distance_m = setup.vehicle.front_axle_distance_m;
@@ -58,11 +53,7 @@ enum Structure {
 const QUICK_S: f64 = 30.0;
 
 /// Identifies the car from a drive, and validates it on another.
-fn identified(
-    setup: &Setup,
-    structure: Structure,
-    parameters: &[Parameter],
-) -> Result<Report, Box<dyn Error>> {
+fn identified(setup: &Setup, structure: Structure, parameters: &[Parameter]) -> Result<Report> {
     let temporary = |error| format!("can't write into a temporary folder: {error}");
     let folder = tempfile::tempdir().map_err(temporary)?;
     let [record, other, start] =
@@ -73,9 +64,9 @@ fn identified(
     if parameters.contains(&Parameter::Friction) {
         first.friction *= 1.4;
     }
-    let vehicle = vehicle_file::text(first).map_err(IdentifyError::from)?;
+    let vehicle = vehicle_file::text(first)?;
     std::fs::write(&start, vehicle).map_err(temporary)?;
-    Ok(identify::identify(&IdentifyArgs {
+    identify::identify(&IdentifyArgs {
         record: vec![record],
         validate: vec![other],
         config: None,
@@ -88,7 +79,7 @@ fn identified(
         out: None,
         format: IdentifyFormat::Table,
         validate_nominal: false,
-    })?)
+    })
 }
 
 fn truth(vehicle: &VehicleParameters, parameter: Parameter) -> f64 {

@@ -15,12 +15,13 @@ use singletrack_figures::{
 use singletrack_scenario::csv_text::csv_text;
 
 use super::{
-    ReproduceError, Reproduction,
+    Reproduction,
     claims::{Claim, Verdict},
     section::{Plate, Section},
     surprises,
     text::{number, with_digits},
 };
+use crate::Result;
 
 /// The names of the files.
 const REPORT: &str = "report.html";
@@ -33,7 +34,7 @@ const DATA: &str = "data";
 
 /// Makes the folder, and checks that it can be written to and holds no other files. An
 /// earlier reproduction stays until the new one is computed, minutes later.
-pub(super) fn prepare(folder: &Path) -> Result<(), ReproduceError> {
+pub(super) fn prepare(folder: &Path) -> Result {
     make_folder(folder)?;
     earlier(folder)?;
     tempfile::tempfile_in(folder).map_err(WriteError::of(folder))?;
@@ -47,15 +48,19 @@ struct Contents {
 }
 
 /// The files of an earlier reproduction; none in an empty folder.
-fn earlier(folder: &Path) -> Result<Vec<PathBuf>, ReproduceError> {
+fn earlier(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut entries = fs::read_dir(folder).map_err(WriteError::of(folder))?;
     let Some(first) = entries.next() else {
         return Ok(Vec::new());
     };
     let first = first.map_err(WriteError::of(folder))?.file_name();
-    let foreign = || ReproduceError::Foreign {
-        path: folder.to_owned(),
-        found: first.to_string_lossy().into_owned(),
+    let foreign = || {
+        format!(
+            "{} holds files that are not of an earlier reproduction ({}); choose another folder with \
+             --out",
+            folder.display(),
+            first.to_string_lossy()
+        )
     };
     let text = fs::read_to_string(folder.join(CLAIMS_JSON)).map_err(|_| foreign())?;
     let contents: Contents = serde_json::from_str(&text).map_err(|_| foreign())?;
@@ -85,7 +90,7 @@ struct Json<'a> {
 /// Writes everything in place of an earlier reproduction; returns the path of the
 /// report. `claims.json`, which lists the files, is written first, so that an
 /// interrupted reproduction can be overwritten.
-pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBuf, ReproduceError> {
+pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBuf> {
     for file in earlier(folder)? {
         // The list of what is left stays until there is a new one.
         if file == Path::new(CLAIMS_JSON) {

@@ -8,9 +8,9 @@ use singletrack_scenario::simulate::PlantKind;
 use super::{
     Setup,
     claims::{Claim, Scope, Verdict},
-    drive::{DriveError, Experiment, Run},
+    drive::{Experiment, Run},
 };
-use crate::table::Table;
+use crate::{Result, table::Table};
 
 /// A section of the report, with everything that was computed for it.
 #[derive(Clone, Debug)]
@@ -142,7 +142,7 @@ impl Section {
     }
 
     /// The drive, or a note on its failure. A drive that ended early has a note too.
-    pub(super) fn keep(&mut self, what: &str, drive: Result<Run, DriveError>) -> Option<Run> {
+    pub(super) fn keep(&mut self, what: &str, drive: Result<Run>) -> Option<Run> {
         let drive = drive.map_err(|error| format!("not driven: {error}"));
         let run = self.or_note(what, drive)?;
         if let Some(ended) = &run.ended {

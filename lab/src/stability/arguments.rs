@@ -6,10 +6,13 @@ use clap::{Args, ValueEnum};
 use singletrack_analysis::stability::{
     Ages, Belief, ClosedLoop, Compensation, Law, SampledLoop, SamplingError, Saturation, Servo,
 };
-use singletrack_control::{SlipAngles, Tyres};
 
 use super::subject::{Format, Grid, Subject};
-use crate::vehicle_file::{self, VehicleFileError};
+use crate::{
+    Result,
+    identify::{SlipAngleKind, TyreKind},
+    vehicle_file,
+};
 
 /// The car and its law.
 #[derive(Clone, Debug, Args)]
@@ -64,7 +67,7 @@ pub(super) enum DrawnFormat {
 }
 
 impl LoopArgs {
-    pub(super) fn subject(&self) -> Result<Subject, VehicleFileError> {
+    pub(super) fn subject(&self) -> Result<Subject> {
         Ok(Subject {
             vehicle: vehicle_file::read_or_paper(self.car.vehicle.as_deref())?,
             law: match self.law {
@@ -115,11 +118,11 @@ pub(super) struct MapArgs {
 #[derive(Clone, Copy, Debug, Args)]
 pub(super) struct SaturationArgs {
     /// The tyres; those that saturate have the vehicle's friction
-    #[arg(long, value_enum, default_value_t = TyresName::Linear)]
-    tyres: TyresName,
+    #[arg(long, value_enum, default_value_t = TyreKind::Linear)]
+    tyres: TyreKind,
     /// Slip angles for small angles, as in the paper, or exact ones
-    #[arg(long, value_enum, default_value_t = SlipAnglesName::Small)]
-    slip_angles: SlipAnglesName,
+    #[arg(long, value_enum, default_value_t = SlipAngleKind::Small)]
+    slip_angles: SlipAngleKind,
     /// Steering stop, in rad [default: none]
     #[arg(long, value_name = "RAD", default_value_t = f64::INFINITY, hide_default_value = true)]
     max_steering: f64,
@@ -128,36 +131,11 @@ pub(super) struct SaturationArgs {
     max_steering_rate: f64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum TyresName {
-    /// The paper's
-    Linear,
-    /// A hyperbolic tangent, as in the simulator
-    Saturating,
-    /// Pacejka's magic formula
-    MagicFormula,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum SlipAnglesName {
-    /// sin x = x and cos x = 1
-    Small,
-    /// The angle between wheels and velocity, and the force across the front wheels
-    Exact,
-}
-
 impl SaturationArgs {
     pub(super) fn saturation(self) -> Saturation {
         Saturation {
-            tyres: match self.tyres {
-                TyresName::Linear => Tyres::Linear,
-                TyresName::Saturating => Tyres::Saturating,
-                TyresName::MagicFormula => Tyres::MagicFormula,
-            },
-            slip_angles: match self.slip_angles {
-                SlipAnglesName::Small => SlipAngles::Small,
-                SlipAnglesName::Exact => SlipAngles::Exact,
-            },
+            tyres: self.tyres.tyres(),
+            slip_angles: self.slip_angles.angles(),
             max_steering: self.max_steering,
             max_steering_rate: self.max_steering_rate,
         }
@@ -218,7 +196,6 @@ impl TimingArgs {
     /// estimator goes on from there by the steering that was sent, and what it gives acts as one of
     /// 5 ms: with that the limit cycles of the simulated car begin where the linear loop says, and without
     /// compensation a little later. A pose 8 ms old is predicted up to an age of 30 ms.
-    #[must_use]
     pub fn simulated_car() -> Self {
         Self {
             delay_ms: 7.0,

@@ -12,9 +12,9 @@ use singletrack_figures::output::print;
 use super::{
     arguments::{DrawnFormat, LoopArgs, SaturationArgs},
     figures,
-    subject::{Grid, StabilityCommandError, Subject, write_json},
+    subject::{Grid, Subject, write_json},
 };
-use crate::table::Table;
+use crate::{Result, table::Table};
 
 #[derive(Clone, Debug, Args)]
 #[command(
@@ -62,9 +62,9 @@ pub(super) struct AttractionRow {
     time_s: f64,
 }
 
-pub(super) fn run(args: &AttractionArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &AttractionArgs) -> Result {
     let subject = args.subject.subject()?;
-    let of_speed = |speed_m_s: f64| -> Result<_, StabilityCommandError> {
+    let of_speed = |speed_m_s: f64| -> Result<_> {
         let begin = Instant::now();
         let at = subject.at(speed_m_s, args.dl)?;
         let at = at.saturating(args.saturation.saturation())?;
@@ -92,7 +92,7 @@ pub(super) fn run(args: &AttractionArgs) -> Result<(), StabilityCommandError> {
             .filter_map(|(row, region)| Some(certificate(args, &subject, row, region.as_ref()?)))
             .collect();
         let text = format!("{:#}\n", json!({ "certificates": proofs }));
-        fs::write(path, text).map_err(StabilityCommandError::Write)?;
+        fs::write(path, text)?;
     }
     let rows: Vec<AttractionRow> = found.iter().map(|(row, _)| *row).collect();
     match args.format {

@@ -12,9 +12,9 @@ use super::{
     figures::{self, Scene},
     region::region,
     subject::write_json,
-    subject::{Grid, StabilityCommandError, Subject},
+    subject::{Grid, Subject},
 };
-use crate::table::Table;
+use crate::{Result, table::Table};
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct HopfArgs {
@@ -28,7 +28,7 @@ pub(super) struct HopfArgs {
     format: DrawnFormat,
 }
 
-pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &HopfArgs) -> Result {
     let subject = args.subject.subject()?;
     let curve = hopf_curve(&subject, &args.speeds)?;
     if curve.is_empty() {
@@ -64,7 +64,6 @@ pub fn hopf_curve(subject: &Subject, speeds: &Grid) -> Result<Vec<HopfPoint>, St
 }
 
 /// The numbers of Hopf points.
-#[must_use]
 pub fn hopf_table(curve: &[HopfPoint]) -> Table {
     Table::of(
         curve,
@@ -109,7 +108,7 @@ pub(super) struct CyclesArgs {
     format: DrawnFormat,
 }
 
-pub(super) fn run_cycles(args: &CyclesArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run_cycles(args: &CyclesArgs) -> Result {
     let subject = args.subject.subject()?;
     let dl = args
         .dl
@@ -146,14 +145,13 @@ pub fn limit_cycles(
     speed: f64,
     deviations: &Grid,
     saturation: Saturation,
-) -> Result<Vec<(HopfPoint, CycleBranch)>, StabilityCommandError> {
+) -> Result<Vec<(HopfPoint, CycleBranch)>> {
     let closed_loop = subject.at(speed, 0.0)?.saturating(saturation)?;
     let of = |hopf| (hopf, closed_loop.limit_cycles(&hopf, deviations.values()));
     Ok(subject.hopf_points(speed)?.into_iter().map(of).collect())
 }
 
 /// The numbers of cycles.
-#[must_use]
 pub fn cycle_table(cycles: &[LimitCycle]) -> Table {
     Table::of(
         cycles,

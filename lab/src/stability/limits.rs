@@ -10,9 +10,9 @@ use singletrack_analysis::stability::{
 
 use super::{
     arguments::{LoopArgs, PointArgs, TimingArgs},
-    subject::{Format, Grid, StabilityCommandError, Subject, write},
+    subject::{Format, Grid, Subject, write},
 };
-use crate::table::Table;
+use crate::{Result, table::Table};
 
 /// The searched speeds, in m/s.
 pub(super) const SEARCHED_SPEEDS: [f64; 2] = [0.1, 20.0];
@@ -88,19 +88,14 @@ impl ServoArgs {
 
     /// Writes rows with the names of their columns. A limit that the search has not found is
     /// missing.
-    fn write(
-        &self,
-        subject: &Subject,
-        header: &str,
-        rows: Vec<Vec<f64>>,
-    ) -> Result<(), StabilityCommandError> {
+    fn write(&self, subject: &Subject, header: &str, rows: Vec<Vec<f64>>) -> Result {
         let header = header.to_owned();
         let table = Table { header, rows };
         Ok(write(self.format, subject, &table, &table.to_json())?)
     }
 }
 
-pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result {
     let subject = args.subject.subject()?;
     let mut rows = Vec::new();
     for p in args.distances.values() {
@@ -116,7 +111,7 @@ pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result<(), Stabili
     args.servo.write(&subject, header, rows)
 }
 
-pub(super) fn run_least(args: &LeastArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run_least(args: &LeastArgs) -> Result {
     let subject = args.subject.subject()?;
     let mut rows = Vec::new();
     for speed in args.speeds.values() {
@@ -140,7 +135,7 @@ pub fn first_unstable(
     timing: TimingArgs,
     deviations: &[f64],
     point_distance: f64,
-) -> Result<Option<f64>, StabilityCommandError> {
+) -> Result<Option<f64>> {
     let at = subject
         .at(SEARCHED_SPEEDS[0], 0.0)?
         .with_point_distance(point_distance)?;
@@ -159,7 +154,7 @@ pub fn least_p(
     timing: TimingArgs,
     deviations: &[f64],
     speed: f64,
-) -> Result<Option<f64>, StabilityCommandError> {
+) -> Result<Option<f64>> {
     let sampled = timing.around(subject.at(speed, 0.0)?)?;
     Ok(least_point_distance(
         &sampled,
@@ -189,7 +184,7 @@ pub(super) struct SampledArgs {
     format: Format,
 }
 
-pub(super) fn run(args: &SampledArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &SampledArgs) -> Result {
     let subject = args.subject.subject()?;
     let dl = args
         .points
@@ -205,7 +200,7 @@ pub(super) fn shown_map(
     deviations: &Grid,
     timing: TimingArgs,
     what: &str,
-) -> Result<Vec<SampledRow>, StabilityCommandError> {
+) -> Result<Vec<SampledRow>> {
     let total = speeds.values().len() * deviations.values().len();
     let bar = ProgressBar::new(total as u64);
     if let Ok(style) = ProgressStyle::with_template(&format!("{{wide_bar}} {{pos}}/{{len}} {what}"))
@@ -218,7 +213,6 @@ pub(super) fn shown_map(
 }
 
 /// The numbers of a map; of a margin that was not found none.
-#[must_use]
 pub fn sampled_table(map: &[SampledRow]) -> Table {
     Table::of(
         map,
@@ -263,7 +257,7 @@ pub fn sampled_map(
     deviations: &Grid,
     timing: TimingArgs,
     mut progress: impl FnMut(),
-) -> Result<Vec<SampledRow>, StabilityCommandError> {
+) -> Result<Vec<SampledRow>> {
     let limits = MarginLimits::default();
     let rows = speeds.with(deviations).map(|(speed_m_s, dl_m)| {
         let sampled = timing.around(subject.at(speed_m_s, dl_m)?)?;

@@ -11,9 +11,9 @@ use singletrack_analysis::stability::{
 
 use super::{
     arguments::{LoopArgs, PointArgs, TimingArgs},
-    subject::{Format, Grid, StabilityCommandError, Subject, write},
+    subject::{Format, Grid, Subject, write},
 };
-use crate::table::Table;
+use crate::{Result, table::Table};
 
 /// Options of `losses`.
 #[derive(Clone, Debug, Args)]
@@ -44,7 +44,7 @@ pub(super) struct LossesArgs {
     format: Format,
 }
 
-pub(super) fn run(args: &LossesArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &LossesArgs) -> Result {
     let subject = args.subject.subject()?;
     let timing = TimingArgs {
         marker_interval: 1,
@@ -88,12 +88,14 @@ pub(super) fn run(args: &LossesArgs) -> Result<(), StabilityCommandError> {
                     rows.push(random(point, *burst_ms, proofs.as_mut()));
                 }
             }
-            write(args.format, &subject, &random_table(&rows), &rows)?;
+            let header = "speed_m_s,dl_m,burst_s,largest_share".to_owned();
+            let table = Table { header, rows };
+            write(args.format, &subject, &table, &table.to_json())?;
         }
     }
     if let (Some(path), Some(proofs)) = (&args.certificates, proofs) {
         let text = format!("{:#}\n", json!({ "certificates": proofs }));
-        fs::write(path, text).map_err(StabilityCommandError::Write)?;
+        fs::write(path, text)?;
     }
     Ok(())
 }
@@ -179,22 +181,10 @@ fn irregular_table(rows: &[IrregularRow]) -> Table {
     }
 }
 
-/// Random losses that a motion survives in the mean square.
-#[derive(Clone, Copy, Debug, Serialize)]
-struct RandomRow {
-    speed_m_s: f64,
-    dl_m: f64,
-    /// The mean length of a burst without poses, in s.
-    burst_s: f64,
-    /// The largest share of ticks without a pose up to which it is stable; none if it is with every
-    /// share that bursts of this length can make.
-    largest_share: Option<f64>,
-}
-
 /// The resolution of the share, and how far below its end it is looked at.
 const SHARE_RESOLUTION: f64 = 1e-4;
 
-fn random(point: &Point<'_>, burst_ms: f64, proofs: Option<&mut Vec<Value>>) -> RandomRow {
+fn random(point: &Point<'_>, burst_ms: f64, proofs: Option<&mut Vec<Value>>) -> Vec<f64> {
     let mean_ticks = (burst_ms / point.timing.period_ms).max(1.0);
     let at = |share| {
         let losses = RandomLosses { share, mean_ticks };
@@ -222,24 +212,12 @@ fn random(point: &Point<'_>, burst_ms: f64, proofs: Option<&mut Vec<Value>>) -> 
         let function = switched.mean_square_function();
         proofs.extend(function.map(|function| certificate(point, &claim, &switched, &function)));
     }
-    RandomRow {
-        speed_m_s: point.speed_m_s,
-        dl_m: point.dl_m,
-        burst_s: mean_ticks * point.timing.period_ms * 1e-3,
-        largest_share,
-    }
-}
-
-fn random_table(rows: &[RandomRow]) -> Table {
-    Table::of(
-        rows,
-        &[
-            ("speed_m_s", |row| row.speed_m_s),
-            ("dl_m", |row| row.dl_m),
-            ("burst_s", |row| row.burst_s),
-            ("largest_share", |row| row.largest_share.unwrap_or(f64::NAN)),
-        ],
-    )
+    vec![
+        point.speed_m_s,
+        point.dl_m,
+        mean_ticks * point.timing.period_ms * 1e-3,
+        largest_share.unwrap_or(f64::NAN),
+    ]
 }
 
 /// All that a program needs which derives the loop for itself, and checks that the functions fall.

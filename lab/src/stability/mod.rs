@@ -16,13 +16,16 @@ mod summary;
 use std::io;
 
 use clap::{Args, Subcommand};
+use singletrack_figures::figure::GridError;
+
+use crate::Result;
 
 pub use arguments::TimingArgs;
 pub use eigenvalues::{EigenvalueRow, eigenvalue_map, eigenvalue_table};
 pub use hopf::{cycle_table, hopf_curve, hopf_table, limit_cycles};
 pub use limits::{SampledRow, first_unstable, least_p, sampled_map, sampled_table};
 pub use region::{RegionRow, region};
-pub use subject::{Grid, StabilityCommandError, Subject};
+pub use subject::{Grid, Subject};
 
 /// Options of `singletrack stability`.
 #[derive(Clone, Debug, Args)]
@@ -35,8 +38,6 @@ pub struct StabilityArgs {
 enum StabilityCommand {
     /// In words: where each law is stable, with the car's own numbers.
     Summary(summary::SummaryArgs),
-    /// The linearisation at one steady motion.
-    Jacobian(eigenvalues::JacobianArgs),
     /// Hopf bifurcations over dl: frequency and first Lyapunov coefficient.
     Hopf(hopf::HopfArgs),
     /// Limit cycles from the Hopf points on: amplitude, period, Floquet multiplier, folds.
@@ -68,10 +69,9 @@ enum StabilityCommand {
 /// # Errors
 ///
 /// An invalid car, law or range, or a result that can't be written.
-pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
+pub fn run(args: &StabilityArgs) -> Result {
     let result = match &args.command {
         StabilityCommand::Summary(args) => summary::run(args),
-        StabilityCommand::Jacobian(args) => eigenvalues::run_jacobian(args),
         StabilityCommand::Hopf(args) => hopf::run(args),
         StabilityCommand::Cycles(args) => hopf::run_cycles(args),
         StabilityCommand::Basin(args) => region::run_basin(args),
@@ -85,11 +85,11 @@ pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
         StabilityCommand::LeastP(args) => limits::run_least(args),
         StabilityCommand::Figures(args) => figures::run(args),
     };
-    match result {
+    result.or_else(|error| match error.downcast_ref::<io::Error>() {
         // The reader of a pipe may close it at any time.
-        Err(StabilityCommandError::Write(error)) if error.kind() == io::ErrorKind::BrokenPipe => {
-            Ok(())
-        }
-        result => result,
-    }
+        Some(cause) if cause.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        Some(cause) => Err(format!("can't write the result: {cause}").into()),
+        None if error.is::<GridError>() => Err(format!("can't draw this: {error}").into()),
+        None => Err(error),
+    })
 }

@@ -1,14 +1,13 @@
 //! The one length that decides whether a car is stable under the proposed law.
 
 use clap::Args;
-use serde::Serialize;
 use singletrack_analysis::stability::{Belief, ClosedLoop, Law, OneLength};
 
 use super::{
     arguments::CarArgs,
-    subject::{Format, Grid, StabilityCommandError, Subject, write},
+    subject::{Format, Grid, Subject, write},
 };
-use crate::{table::Table, vehicle_file};
+use crate::{Result, table::Table, vehicle_file};
 
 /// Options of `one-length`.
 #[derive(Clone, Debug, Args)]
@@ -39,22 +38,7 @@ fn speeds(text: &str) -> Result<Speeds, String> {
     Ok(Speeds(speeds))
 }
 
-/// The distances p that make a car stable up to a speed, over the whole meaningful range of dl.
-#[derive(Clone, Copy, Debug, Serialize)]
-struct OneLengthRow {
-    /// The speed, in m/s; none: every speed.
-    speed_m_s: Option<f64>,
-    /// From here on every p will do, in m; none: there is no such p.
-    p_from_m: Option<f64>,
-    /// A range of p that will do as well.
-    other_from_m: Option<f64>,
-    other_to_m: Option<f64>,
-    /// With the p that is given: dead time and lag of the steering may together be less than this, in s, at
-    /// this speed; none: it is not stable at all, or the speed has no end.
-    actuation_s: Option<f64>,
-}
-
-pub(super) fn run(args: &OneLengthArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &OneLengthArgs) -> Result {
     let subject = Subject {
         vehicle: vehicle_file::read_or_paper(args.car.vehicle.as_deref())?,
         law: Law::FrontPoint,
@@ -62,6 +46,7 @@ pub(super) fn run(args: &OneLengthArgs) -> Result<(), StabilityCommandError> {
         point_distance: args.car.point_distance,
     };
     let range = ClosedLoop::meaningful_deviations(&subject.vehicle);
+    let or_none = |value: Option<f64>| value.unwrap_or(f64::NAN);
     let mut rows = Vec::new();
     for speed in &args.speeds.0 {
         let length = OneLength::of(subject.vehicle, *speed)?;
@@ -74,29 +59,16 @@ pub(super) fn run(args: &OneLengthArgs) -> Result<(), StabilityCommandError> {
             }
         }
         let bounds: Option<Vec<f64>> = bounds.into_iter().collect();
-        rows.push(OneLengthRow {
-            speed_m_s: speed.is_finite().then_some(*speed),
-            p_from_m: endless.map(|[from, _]| *from),
-            other_from_m: other.map(|[from, _]| *from),
-            other_to_m: other.map(|[_, to]| *to),
-            actuation_s: bounds.and_then(|bounds| bounds.into_iter().min_by(f64::total_cmp)),
-        });
+        let least = bounds.and_then(|bounds| bounds.into_iter().min_by(f64::total_cmp));
+        rows.push(vec![
+            *speed,
+            or_none(endless.map(|[from, _]| *from)),
+            or_none(other.map(|[from, _]| *from)),
+            or_none(other.map(|[_, to]| *to)),
+            or_none(least),
+        ]);
     }
-    let or_none = |value: Option<f64>| value.unwrap_or(f64::NAN);
-    let table = Table {
-        header: "speed_m_s,p_from_m,other_from_m,other_to_m,actuation_s".to_owned(),
-        rows: rows
-            .iter()
-            .map(|row| {
-                vec![
-                    row.speed_m_s.unwrap_or(f64::INFINITY),
-                    or_none(row.p_from_m),
-                    or_none(row.other_from_m),
-                    or_none(row.other_to_m),
-                    or_none(row.actuation_s),
-                ]
-            })
-            .collect(),
-    };
-    Ok(write(args.format, &subject, &table, &rows)?)
+    let header = "speed_m_s,p_from_m,other_from_m,other_to_m,actuation_s".to_owned();
+    let table = Table { header, rows };
+    Ok(write(args.format, &subject, &table, &table.to_json())?)
 }

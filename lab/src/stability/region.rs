@@ -8,12 +8,12 @@ use singletrack_figures::output::print;
 use super::{
     arguments::{DrawnFormat, LoopArgs, MapArgs, SaturationArgs},
     figures,
-    subject::{Grid, StabilityCommandError, Subject},
+    subject::{Grid, Subject},
     subject::{write, write_json},
 };
-use crate::table::Table;
+use crate::{Result, table::Table};
 
-pub(super) fn run(args: &MapArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &MapArgs) -> Result {
     let subject = args.subject.subject()?;
     let dl = args.points.deviations_or(|| subject.usual_deviations());
     let region = region(&subject, &args.points.speeds, &dl)?;
@@ -102,7 +102,7 @@ pub(super) struct BasinRow {
     beyond_amplitude_rad: Option<f64>,
 }
 
-pub(super) fn run_basin(args: &BasinArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run_basin(args: &BasinArgs) -> Result {
     let subject = args.subject.subject()?;
     let own = Grid::spanning([subject.point_distance; 2], 1);
     let servo = Servo {

@@ -6,32 +6,12 @@ use clap::ValueEnum;
 use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, HopfPoint, Law, SamplingError, StabilityError, hopf_points,
+    Belief, ClosedLoop, HopfPoint, Law, StabilityError, hopf_points,
 };
 use singletrack_control::VehicleParameters;
-use singletrack_figures::{figure::GridError, output::print};
+use singletrack_figures::output::print;
 
-use crate::{table::Table, vehicle_file::VehicleFileError};
-
-/// Why a stability study failed.
-#[derive(Debug, thiserror::Error)]
-pub enum StabilityCommandError {
-    /// The vehicle file is invalid.
-    #[error(transparent)]
-    Vehicle(#[from] VehicleFileError),
-    /// There is no steady motion.
-    #[error(transparent)]
-    Stability(#[from] StabilityError),
-    /// The timing is invalid.
-    #[error(transparent)]
-    Sampling(#[from] SamplingError),
-    /// There is nothing to draw a map of.
-    #[error("can't draw this: {0}")]
-    Grid(#[from] GridError),
-    /// The result can't be written.
-    #[error("can't write the result: {0}")]
-    Write(#[from] io::Error),
-}
+use crate::table::Table;
 
 /// A car, its P and its law.
 #[derive(Clone, Copy, Debug)]
@@ -81,7 +61,6 @@ impl Subject {
 
     /// The deviations of the paper: all meaningful ones, and for the
     /// front-point law as far down as its bifurcations lie.
-    #[must_use]
     pub fn usual_deviations(&self) -> Grid {
         let [from, to] = ClosedLoop::meaningful_deviations(&self.vehicle);
         let from = match self.law {
@@ -106,7 +85,6 @@ pub struct Grid(Vec<f64>);
 
 impl Grid {
     /// `count` values from `from` to `to`, both included.
-    #[must_use]
     pub fn spanning([from, to]: [f64; 2], count: usize) -> Self {
         let last = count.saturating_sub(1).max(1) as f64;
         Self(
@@ -117,7 +95,6 @@ impl Grid {
     }
 
     /// The values, ascending; never empty if written on the command line.
-    #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.0
     }

@@ -11,8 +11,9 @@ use singletrack_analysis::stability::{
 use super::{
     arguments::{CarArgs, TimingArgs},
     limits::{RANGE_POINTS, SEARCHED_DISTANCES, SEARCHED_SPEEDS, first_unstable, least_p},
-    subject::{Grid, StabilityCommandError, Subject},
+    subject::{Grid, Subject},
 };
+use crate::Result;
 use crate::vehicle_file;
 
 #[derive(Clone, Debug, Args)]
@@ -26,7 +27,7 @@ pub(super) struct SummaryArgs {
 /// The speeds of the summary, in m/s.
 const SPEEDS: [f64; 5] = [0.1, 0.5, 1.0, 2.0, 5.0];
 
-pub(super) fn run(args: &SummaryArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &SummaryArgs) -> Result {
     let vehicle = vehicle_file::read_or_paper(args.car.vehicle.as_deref())?;
     let subject = |law| Subject {
         vehicle,
@@ -57,7 +58,7 @@ pub(super) fn run(args: &SummaryArgs) -> Result<(), StabilityCommandError> {
     with_servo(&mut out, &subject(Law::FrontPoint), timing)
 }
 
-fn proposed(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCommandError> {
+fn proposed(out: &mut impl Write, subject: &Subject) -> Result {
     writeln!(
         out,
         "front-point law (proposed), in continuous time, wheels that follow at once"
@@ -86,12 +87,12 @@ fn proposed(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityComm
     hopf_lines(out, subject)
 }
 
-fn appendix(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCommandError> {
+fn appendix(out: &mut impl Write, subject: &Subject) -> Result {
     writeln!(out, "velocity-point law (appendix), l_f + dl and l_r - dl")?;
     hopf_lines(out, subject)
 }
 
-fn hopf_lines(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCommandError> {
+fn hopf_lines(out: &mut impl Write, subject: &Subject) -> Result {
     let [from, to] = ClosedLoop::meaningful_deviations(&subject.vehicle);
     for speed in SPEEDS {
         for point in subject.hopf_points(speed)? {
@@ -114,11 +115,7 @@ fn hopf_lines(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCo
     Ok(())
 }
 
-fn sampled(
-    out: &mut impl Write,
-    subject: &Subject,
-    timing: TimingArgs,
-) -> Result<(), StabilityCommandError> {
+fn sampled(out: &mut impl Write, subject: &Subject, timing: TimingArgs) -> Result {
     writeln!(
         out,
         "front-point law in ticks of {} ms, acting {} ms late{}, dl = 0",
@@ -177,11 +174,7 @@ fn controller_text(timing: TimingArgs) -> &'static str {
 
 /// What a servo leaves of the stability, without and with the pilot's compensation, and with an
 /// exact prediction.
-fn with_servo(
-    out: &mut impl Write,
-    subject: &Subject,
-    timing: TimingArgs,
-) -> Result<(), StabilityCommandError> {
+fn with_servo(out: &mut impl Write, subject: &Subject, timing: TimingArgs) -> Result {
     let plain = TimingArgs {
         predict: false,
         compensate: false,

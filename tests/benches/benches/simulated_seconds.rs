@@ -20,7 +20,7 @@ fn idle_host(criterion: &mut Criterion) {
         let mut bytes = Vec::new();
         bencher.iter(|| {
             for _ in 0..100 {
-                world.advance_to(world.now_us() + 10_000);
+                world.advance_to(world.now_us + 10_000);
                 bytes.clear();
                 world.host_read(&mut bytes);
                 while world.poll_camera_frame().is_some() {}

@@ -47,7 +47,6 @@ impl Kind {
     ];
 
     /// The word after `sh`.
-    #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
             Self::Car => "car",
@@ -62,7 +61,6 @@ impl Kind {
     }
 
     /// Whether blocks of this kind are run.
-    #[must_use]
     pub const fn runs(self) -> bool {
         matches!(self, Self::Car | Self::Interrupted | Self::Background)
     }
@@ -81,7 +79,6 @@ pub struct Block {
 
 impl Block {
     /// Whether it is run.
-    #[must_use]
     pub fn runs(&self) -> bool {
         self.kinds.iter().all(|kind| kind.runs())
     }
@@ -178,7 +175,6 @@ const PROGRAMS: [&str; 10] = [
 ///
 /// A variable of a `for` has its first value, any other one is empty. Commands with the arguments
 /// of a shell function are left out: they are read where the function runs.
-#[must_use]
 pub fn lines(text: &str) -> Vec<Line> {
     let mut variables = BTreeMap::new();
     let mut found = Vec::new();
@@ -219,7 +215,6 @@ pub fn lines(text: &str) -> Vec<Line> {
 }
 
 /// The command lines of our programs in the code spans of a line of prose.
-#[must_use]
 pub fn spans(prose: &str) -> Vec<Line> {
     let spans = prose.split('`').skip(1).step_by(2);
     spans

@@ -42,7 +42,6 @@ const OPENINGS: [(&str, Compared); 3] = [
 const ABOVE: &str = "the commands above";
 
 /// What the commands of a page print, in the order of the page.
-#[must_use]
 pub fn printed(page: &str) -> Vec<Printed> {
     let blocks = blocks(page).unwrap_or_default();
     let mut found = Vec::new();
@@ -167,7 +166,6 @@ fn numbers(text: &str) -> impl Iterator<Item = (f64, usize)> {
 
 /// The messages that a line of prose quotes: code spans of three words and more that are neither settings
 /// nor command lines. Each in the parts between what differs: dots, and words in capitals.
-#[must_use]
 pub fn quoted(prose: &str) -> Vec<String> {
     const COMMANDS: [&str; 4] = ["singletrack", "cargo", "sudo", "ulimit"];
     let spans = prose.split('`').skip(1).step_by(2);

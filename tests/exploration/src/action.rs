@@ -78,7 +78,6 @@ impl Theme {
     pub const ALL: [Self; 4] = [Self::Frames, Self::Wires, Self::Operator, Self::All];
 
     /// Its word.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Frames => "frames",
@@ -89,7 +88,6 @@ impl Theme {
     }
 
     /// What can happen in a tick.
-    #[must_use]
     pub fn actions(self) -> Vec<Action> {
         const DRIVE: &[Action] = &[
             Action::Calm,
@@ -157,14 +155,12 @@ pub struct Trace {
 
 impl Trace {
     /// The actions, with their times in ms.
-    #[must_use]
     pub fn actions(&self) -> &[(u64, Action)] {
         &self.actions
     }
 
     /// The schedule of the fault campaign that comes nearest, for `cargo faults --replay`: there a
     /// wire is cut both ways (of a board with its own supply), and nobody jogs.
-    #[must_use]
     pub fn schedule(&self) -> String {
         let entries = ["seed 1", "proved true", "own_supply true"];
         let mut entries: Vec<_> = entries.into_iter().map(str::to_owned).collect();

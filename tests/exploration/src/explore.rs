@@ -162,7 +162,6 @@ pub struct Explorer<'a> {
 
 impl<'a> Explorer<'a> {
     /// An exploration from a board and a host that have just started.
-    #[must_use]
     pub fn new(setting: &'a Setting, limits: Limits) -> Self {
         Self {
             setting,

@@ -129,7 +129,6 @@ const REPEAT_INTERVAL: u64 = 50;
 impl Experiment for Campaign {
     const NAME: &'static str = "faults";
     type Result = SeedOutcome;
-    type Error = SetupError;
 
     fn units(&self) -> u64 {
         self.count
@@ -143,7 +142,7 @@ impl Experiment for Campaign {
         }
     }
 
-    fn run(&self, unit: u64) -> Result<SeedOutcome, SetupError> {
+    fn run(&self, unit: u64) -> singletrack_campaign::Result<SeedOutcome> {
         let seed = self.first_seed.wrapping_add(unit);
         let schedule = Schedule::generate(seed, self.board);
         let mut drive_outcome = attempt_until(&schedule, &mut Untampered, self.until)?;
@@ -164,7 +163,6 @@ impl Experiment for Campaign {
 
 impl SeedOutcome {
     /// The outcome of a schedule.
-    #[must_use]
     pub fn new(schedule: &Schedule, outcome: DriveOutcome) -> Self {
         let names = |names: BTreeSet<&str>| names.into_iter().map(str::to_owned).collect();
         Self {

@@ -266,7 +266,7 @@ impl<'a> Drive<'a> {
                 reason: error.to_string(),
             })?;
         let mut drive = Self {
-            spec: Spec::new(schedule, world.config(), &config).map_err(SetupError::Config)?,
+            spec: Spec::new(schedule, &world.config, &config).map_err(SetupError::Config)?,
             now_us: 0,
             world: Box::new(world),
             network: Network::new(schedule.seed),
@@ -392,7 +392,7 @@ impl<'a> Drive<'a> {
                 changed = true;
                 setting::begin(&mut self.world, fault);
                 self.network.note_change(fault.kind);
-                if fault.kind == FaultKind::BoardHang && self.world.board().is_running() {
+                if fault.kind == FaultKind::BoardHang && self.world.board.is_running() {
                     self.bites_us.get_or_insert(now_us + WATCHDOG_US);
                 }
                 self.new_faults.push(*fault);
@@ -518,8 +518,8 @@ impl<'a> Drive<'a> {
                     if self.was_driving || held || truth.speed.abs() >= STANDING {
                         continue;
                     }
-                    let car = self.world.car_mut();
-                    let (start, battery) = (car.parameters().start, car.parameters().battery);
+                    let car = &mut self.world.car;
+                    let (start, battery) = (car.parameters.start, car.parameters.battery);
                     car.place(start);
                     car.drain_battery((truth.battery_v - battery.start_v) / battery.fall_v_per_ah);
                     PilotRequest::Carried
@@ -578,7 +578,7 @@ impl<'a> Drive<'a> {
 
     /// Whether the car is in somebody's hands, or on a stand.
     fn is_held(&self) -> bool {
-        let car = self.world.car();
+        let car = &self.world.car;
         car.is_in_motion_by_hand() || car.wheels_are_up()
     }
 
@@ -587,9 +587,9 @@ impl<'a> Drive<'a> {
         let stands = self.world.truth().speed.abs() < STANDING;
         if up && !self.is_held() && !self.was_driving && stands {
             let motion = HandMotion::Lift { height_m: STAND_M };
-            self.world.car_mut().begin_by_hand(motion);
+            self.world.car.begin_by_hand(motion);
         } else if !up && self.is_held() {
-            self.world.car_mut().begin_by_hand(HandMotion::PutDown);
+            self.world.car.begin_by_hand(HandMotion::PutDown);
         }
     }
 
@@ -677,7 +677,7 @@ impl<'a> Drive<'a> {
             return None;
         }
         let daemon = self.daemon.as_mut()?;
-        self.port.set_queued(self.world.wire().bytes_to_board());
+        self.port.set_queued(self.world.wire.bytes_to_board());
         let record = daemon.tick(self.now_us);
         if let Some((number, config)) = daemon.settled() {
             self.changed = Some((number, config.clone()));
@@ -719,7 +719,7 @@ impl<'a> Drive<'a> {
         let mut configuration = None;
         if let Some((number, mut config)) = self.changed.take() {
             tamper.configuration(number, &mut config);
-            let world = self.world.config();
+            let world = &self.world.config;
             self.spec = Spec::new(self.schedule, world, &config).map_err(SetupError::Config)?;
             let toml = config.to_toml().map_err(|error| SetupError::Other {
                 part: "the daemon's configuration",
@@ -737,12 +737,12 @@ impl<'a> Drive<'a> {
             written,
             ..
         } = &mut self.buffers;
-        let board = self.world.board_mut();
+        let board = &mut self.world.board;
         heard.clear();
         heard.extend(core::iter::from_fn(|| board.next_received()));
         let is_running = board.is_running();
-        if board.resets() != self.resets || is_running != self.was_running {
-            self.resets = board.resets();
+        if board.resets != self.resets || is_running != self.was_running {
+            self.resets = board.resets;
             self.was_running = is_running;
             self.board_since_us = is_running.then_some(now_us);
             self.jogs = false;
@@ -755,9 +755,9 @@ impl<'a> Drive<'a> {
                 _ => {}
             }
         }
-        let log = board.pulses();
-        let new = log.total() - self.pulses;
-        self.pulses = log.total();
+        let log = &board.pulses;
+        let new = log.total - self.pulses;
+        self.pulses = log.total;
         pulses.clear();
         // Oldest first.
         let newest = || log.iter().rev().take(new as usize);
@@ -772,7 +772,7 @@ impl<'a> Drive<'a> {
             }
         }
         let truth = self.world.truth();
-        let telemetry = self.world.board().telemetry();
+        let telemetry = self.world.board.telemetry();
         let board_mode = telemetry.map(|record| record.mode);
         let board_cause = telemetry.map(|record| record.stop_cause);
         let board_is_armed = is_running
@@ -786,7 +786,7 @@ impl<'a> Drive<'a> {
                 )
             );
         let is_held = {
-            let car = self.world.car();
+            let car = &self.world.car;
             car.is_in_motion_by_hand() || car.wheels_are_up()
         };
         let is_pushed = self.pushes.iter().any(|fault| {
@@ -835,7 +835,7 @@ impl<'a> Drive<'a> {
             jogs: self.jogs,
             renewed: self.operator.renewed(),
             way_since_arm,
-            esc_has_power: self.world.car().esc_has_power(),
+            esc_has_power: self.world.car.esc_has_power(),
             moved_by_hand,
             tick: tick.as_ref(),
             is_replayed: tamper.is_replayed(),

@@ -112,7 +112,6 @@ const FAULTS: [Fault; 8] = [
 impl Experiment for FleetCampaign {
     const NAME: &'static str = "fleet-faults";
     type Result = FleetOutcome;
-    type Error = SetupError;
 
     fn units(&self) -> u64 {
         self.count
@@ -122,8 +121,12 @@ impl Experiment for FleetCampaign {
         Vec::new()
     }
 
-    fn run(&self, unit: u64) -> Result<FleetOutcome, SetupError> {
-        drive_fleet(self.first_seed.wrapping_add(unit), self.cars, None)
+    fn run(&self, unit: u64) -> singletrack_campaign::Result<FleetOutcome> {
+        Ok(drive_fleet(
+            self.first_seed.wrapping_add(unit),
+            self.cars,
+            None,
+        )?)
     }
 }
 
@@ -162,7 +165,7 @@ fn attempt(
     let mut random = Random::new(seed, Stream::Fleet);
     let mut fleet = VirtualFleet::new(&draw_cars(&mut random, seed, cars, bug))?;
     fleet.start()?;
-    let begin_us = fleet.now_us();
+    let begin_us = fleet.now_us;
     let mut changes = Vec::new();
     for _ in 0..random.between(0, 4) {
         let fault = random.choose(Fault::Lost, &FAULTS);
@@ -213,7 +216,7 @@ fn change(fleet: &mut VirtualFleet, index: usize, fault: Fault, begins: bool) {
     if matches!(fault, Fault::Lost | Fault::Hidden | Fault::Frozen) {
         fleet.show(index, seen);
     }
-    let Some(car) = fleet.cars_mut().get_mut(index) else {
+    let Some(car) = fleet.cars.get_mut(index) else {
         return;
     };
     match fault {
@@ -223,15 +226,15 @@ fn change(fleet: &mut VirtualFleet, index: usize, fault: Fault, begins: bool) {
                 Fault::Lost => LossKind::Occluded,
                 _ => LossKind::Silent,
             };
-            car.world_mut().cameras_mut().faults_mut().loss = begins.then_some(kind);
+            car.world.cameras.faults.loss = begins.then_some(kind);
         }
-        Fault::Unplugged => car.world_mut().set_cable(!begins),
-        Fault::Unpowered => car.world_mut().set_board_power(!begins),
+        Fault::Unplugged => car.world.set_cable(!begins),
+        Fault::Unpowered => car.world.set_board_power(!begins),
         Fault::Jumps => {
             let jump = if begins { 0.7 } else { 0.0 };
-            car.world_mut().cameras_mut().faults_mut().jump_m = [jump, 0.0, 0.0];
+            car.world.cameras.faults.jump_m = [jump, 0.0, 0.0];
         }
-        Fault::Swapped => car.world_mut().cameras_mut().faults_mut().swapped = begins,
+        Fault::Swapped => car.world.cameras.faults.swapped = begins,
         Fault::Disarmed => {
             let request = if begins {
                 PilotRequest::Disarm

@@ -8,13 +8,11 @@ use std::{
 };
 
 use clap::Parser;
-use singletrack_campaign::{CampaignArgs, CampaignError, Shard};
+use singletrack_campaign::{CampaignArgs, Result, Shard};
 use singletrack_faults::{
-    Campaign, CampaignOutcome, Failure, FilterTicks, FleetBug, FleetCampaign, ReadError, Recording,
-    RecordingError, SeedOutcome, SetupError, Untampered, Until, Violation, attempt, drive_fleet,
-    drive_watched, planted,
-    schedule::{Schedule, ScheduleError},
-    shrink,
+    Campaign, CampaignOutcome, Failure, FilterTicks, FleetBug, FleetCampaign, Recording,
+    SeedOutcome, Untampered, Until, Violation, attempt, drive_fleet, drive_watched, planted,
+    schedule::Schedule, shrink,
 };
 use singletrack_pilot::Reason;
 use singletrack_sim::BoardKind;
@@ -79,24 +77,6 @@ struct Options {
 /// Number of failures that are shrunk: shrinking is slow.
 const MAX_SHRUNK: usize = 5;
 
-#[derive(Debug, thiserror::Error)]
-enum Error {
-    #[error(transparent)]
-    Setup(#[from] SetupError),
-    #[error(transparent)]
-    Schedule(#[from] ScheduleError),
-    #[error(transparent)]
-    Recording(#[from] RecordingError),
-    #[error(transparent)]
-    Campaign(#[from] CampaignError<SetupError>),
-    #[error(transparent)]
-    Result(#[from] ReadError),
-    #[error("{path}: {source}")]
-    Read { path: String, source: io::Error },
-    #[error("standard output: {0}")]
-    Write(#[from] io::Error),
-}
-
 fn main() -> ExitCode {
     match run(&Options::parse()) {
         Ok(true) => ExitCode::SUCCESS,
@@ -108,7 +88,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(options: &Options) -> Result<bool, Error> {
+fn run(options: &Options) -> Result<bool> {
     let out = &mut io::stdout().lock();
     if options.print {
         for number in 0..options.count {
@@ -235,7 +215,7 @@ fn print_failure(out: &mut impl Write, failure: &Failure) -> io::Result<()> {
 }
 
 /// Runs the schedules of several cars, or plants bugs in all of them.
-fn fleet(options: &Options, cars: usize, out: &mut impl Write) -> Result<bool, Error> {
+fn fleet(options: &Options, cars: usize, out: &mut impl Write) -> Result<bool> {
     let experiment = FleetCampaign {
         first_seed: options.first_seed,
         count: options.count,
@@ -291,7 +271,7 @@ fn fleet(options: &Options, cars: usize, out: &mut impl Write) -> Result<bool, E
 }
 
 /// Prints the planted bugs and in how many schedules each is found; false if one never is.
-fn count_planted(options: &Options, out: &mut impl Write) -> Result<bool, Error> {
+fn count_planted(options: &Options, out: &mut impl Write) -> Result<bool> {
     let experiment = planted::PlantedCampaign {
         first_seed: options.first_seed,
         count: options.count,
@@ -315,9 +295,7 @@ fn count_planted(options: &Options, out: &mut impl Write) -> Result<bool, Error>
     Ok(missed == 0 || campaign.shard != Shard::WHOLE)
 }
 
-fn campaign(
-    options: &Options,
-) -> Result<singletrack_campaign::Campaign<Campaign>, CampaignError<SetupError>> {
+fn campaign(options: &Options) -> Result<singletrack_campaign::Campaign<Campaign>> {
     let experiment = Campaign {
         first_seed: options.first_seed,
         count: options.count,
@@ -332,12 +310,9 @@ fn campaign(
 }
 
 /// Parses a schedule from a file of that name, or else from the text itself.
-fn read_schedule(text: &str) -> Result<Schedule, Error> {
+fn read_schedule(text: &str) -> Result<Schedule> {
     let text = if Path::new(text).exists() {
-        std::fs::read_to_string(text).map_err(|source| Error::Read {
-            path: text.to_owned(),
-            source,
-        })?
+        std::fs::read_to_string(text).map_err(|error| format!("{text}: {error}"))?
     } else {
         text.to_owned()
     };
@@ -347,7 +322,7 @@ fn read_schedule(text: &str) -> Result<Schedule, Error> {
 /// An hour of simulated time, in µs.
 const HOUR_US: u64 = 3_600_000_000;
 
-fn soak(options: &Options, hours: u32, out: &mut impl Write) -> Result<bool, Error> {
+fn soak(options: &Options, hours: u32, out: &mut impl Write) -> Result<bool> {
     let end_ms = hours * 3_600_000;
     let schedule = Schedule::soak(options.first_seed, options.board, end_ms);
     let (faults, requests) = (schedule.faults.len(), schedule.requests.len());
@@ -396,14 +371,14 @@ fn resident_kb() -> Option<u64> {
     line.split_whitespace().next()?.parse().ok()
 }
 
-fn record_all(options: &Options) -> Result<Vec<SeedOutcome>, Error> {
+fn record_all(options: &Options) -> Result<Vec<SeedOutcome>> {
     let seeds = (0..options.count).map(|number| options.first_seed.wrapping_add(number));
     seeds
         .map(|seed| run_recorded(&Schedule::generate(seed, options.board), options))
         .collect()
 }
 
-fn run_recorded(schedule: &Schedule, options: &Options) -> Result<SeedOutcome, Error> {
+fn run_recorded(schedule: &Schedule, options: &Options) -> Result<SeedOutcome> {
     let mut recording = Recording::default();
     let drive_outcome = attempt(schedule, &mut recording)?;
     if let Some(folder) = &options.record {

@@ -128,18 +128,15 @@ impl Network {
 
     /// Restarts the server's clock and frame numbers.
     pub(crate) fn restart_server(&mut self, world: &World) {
-        let now_us = world.now_us();
-        self.first_ticks = world
-            .cameras()
-            .ticks(now_us)
-            .saturating_sub(TICKS_PER_SECOND);
-        self.first_number = i32::try_from(world.cameras().counters().exposed).unwrap_or(0);
+        let now_us = world.now_us;
+        self.first_ticks = world.cameras.ticks(now_us).saturating_sub(TICKS_PER_SECOND);
+        self.first_number = i32::try_from(world.cameras.counters.exposed).unwrap_or(0);
         self.clock_suspect_until_us = now_us + CLOCK_MEMORY_US;
     }
 
     /// Takes the datagrams that the server sends to `client`.
     pub(crate) fn take(&mut self, world: &mut World, client: Option<SocketAddr>, faults: &[Fault]) {
-        let now_us = world.now_us();
+        let now_us = world.now_us;
         while let Some(frame) = world.poll_camera_frame() {
             self.frames.insert(frame.number, frame);
         }
@@ -247,7 +244,7 @@ impl Network {
             Ok(ServerMessage::ModelDefinitions(_))
                 if is_active(faults, FaultKind::CameraRenamed) =>
             {
-                let cameras = world.cameras().parameters();
+                let cameras = &world.cameras.parameters;
                 let (car, other) = (&cameras.car, cameras.decoys.first());
                 let other =
                     other.map_or(("other", UNUSED_ID), |body| (body.name.as_str(), body.id));

@@ -421,11 +421,11 @@ pub(crate) fn begin(world: &mut World, fault: &Fault) {
         FaultKind::BoardReset => world.reset_board(ResetCause::External),
         FaultKind::BoardBrownOut => world.reset_board(ResetCause::BrownOut),
         FaultKind::BoardWatchdog => world.reset_board(ResetCause::Watchdog),
-        FaultKind::BoardHang if world.board().is_running() => {
-            world.board_mut().hang(Hang::MainLoop);
+        FaultKind::BoardHang if world.board.is_running() => {
+            world.board.hang(Hang::MainLoop);
         }
         FaultKind::CameraModelChange => world.set_car_body_id(OTHER_CAR_ID),
-        FaultKind::BatteryLow => world.car_mut().drain_battery(charge_ah(fault)),
+        FaultKind::BatteryLow => world.car.drain_battery(charge_ah(fault)),
         _ => {}
     }
 }
@@ -435,10 +435,10 @@ pub(crate) fn end(world: &mut World, fault: &Fault) {
     match fault.kind {
         FaultKind::CameraModelChange => world.set_car_body_id(CAR_ID),
         FaultKind::CameraServerRestart => {
-            let parameters = *world.natnet().parameters();
-            *world.natnet_mut() = NatNetServer::new(parameters);
+            let parameters = world.natnet.parameters;
+            world.natnet = NatNetServer::new(parameters);
         }
-        FaultKind::BatteryLow => world.car_mut().drain_battery(-charge_ah(fault)),
+        FaultKind::BatteryLow => world.car.drain_battery(-charge_ah(fault)),
         _ => {}
     }
 }
@@ -488,13 +488,13 @@ pub(crate) fn hold(world: &mut World, situation: &Situation, faults: &[Fault]) {
             _ => {}
         }
     }
-    *world.wire_mut().faults_mut() = wire;
+    world.wire.faults = wire;
     world.set_cable(!is_active(FaultKind::LineUnplugged));
     world.set_board_power(!is_active(FaultKind::BoardOff));
     world.set_imu_fault(imu);
-    world.car_mut().set_motor_sensor_fault(motor);
-    world.car_mut().set_esc_power(!is_active(FaultKind::EscOff));
+    world.car.set_motor_sensor_fault(motor);
+    world.car.set_esc_power(!is_active(FaultKind::EscOff));
     world
-        .board_mut()
+        .board
         .set_stop_input_open(is_active(FaultKind::StopInputOpen));
 }

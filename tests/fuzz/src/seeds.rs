@@ -22,7 +22,6 @@ pub struct Seed {
 }
 
 /// The seeds of a target; none for an unknown name.
-#[must_use]
 pub fn seeds(target: &str) -> Vec<Seed> {
     match target {
         "board_bytes" => serial(&to_board(), 0..4, BOARD_COURSES),

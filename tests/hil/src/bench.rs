@@ -42,7 +42,6 @@ pub struct Equipment {
 
 impl Equipment {
     /// Reason why a test can't run with this equipment, if any.
-    #[must_use]
     pub fn lacks(&self, need: Need) -> Option<&'static str> {
         if need == Need::Whole && !self.whole {
             return Some("it takes a quarter of an hour: --whole");
@@ -166,19 +165,16 @@ impl Bench {
     }
 
     /// Reason why this bench lacks what a test needs, if it does.
-    #[must_use]
     pub fn lacks(&self, need: Need) -> Option<&'static str> {
         self.rig.lacks(need)
     }
 
     /// The board, the car and the cameras.
-    #[must_use]
     pub fn rig(&self) -> &dyn Rig {
         self.rig.as_ref()
     }
 
     /// The test's folder.
-    #[must_use]
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
@@ -200,25 +196,21 @@ impl Bench {
     }
 
     /// The daemon's configuration.
-    #[must_use]
     pub const fn config(&self) -> &Config {
         &self.config
     }
 
     /// Path of the configuration file, which exists once a daemon has been started.
-    #[must_use]
     pub fn config_file(&self) -> PathBuf {
         self.folder().join("singletrackd.toml")
     }
 
     /// The daemon's program.
-    #[must_use]
     pub fn program(&self) -> &Path {
         &self.equipment.program
     }
 
     /// Number of times that the daemon is killed.
-    #[must_use]
     pub const fn kills(&self) -> usize {
         self.equipment.kills
     }
@@ -233,7 +225,6 @@ impl Bench {
     }
 
     /// The neutral pulse, in µs.
-    #[must_use]
     pub const fn neutral_us(&self) -> u16 {
         self.config.board.esc.neutral_us
     }
@@ -266,7 +257,6 @@ impl Bench {
     }
 
     /// The end of the daemon's log, for the report of a failure.
-    #[must_use]
     pub fn last_log(&self) -> String {
         const LINES: usize = 25;
         let log = self.daemon.as_ref().map(Daemon::log).unwrap_or_default();

@@ -266,13 +266,11 @@ impl Answer {
     }
 
     /// Whether the command was refused.
-    #[must_use]
     pub fn is_refused(&self) -> bool {
         self.0["ok"] == false
     }
 
     /// The complete answer.
-    #[must_use]
     pub fn text(&self) -> String {
         self.0.to_string()
     }
@@ -291,33 +289,28 @@ impl Status {
     }
 
     /// The pilot's mode; `disconnected` before the first tick.
-    #[must_use]
     pub fn mode(&self) -> &str {
         let mode = self.0.pointer("/state/mode");
         mode.and_then(Value::as_str).unwrap_or("disconnected")
     }
 
     /// The reason for not driving, or for the last stop; empty if none.
-    #[must_use]
     pub fn reason(&self) -> &str {
         self.word("/state/reason")
     }
 
     /// State of the link to the board.
-    #[must_use]
     pub fn link(&self) -> &str {
         self.word("/state/link")
     }
 
     /// Whether the configuration is proved on this car; `None` before the board has given its
     /// number.
-    #[must_use]
     pub fn proved(&self) -> Option<bool> {
         self.0["proved"].as_bool()
     }
 
     /// The board's last stop cause.
-    #[must_use]
     pub fn stop_cause(&self) -> &str {
         self.word("/board/stop_cause")
     }
@@ -361,7 +354,6 @@ impl Status {
     }
 
     /// A summary for the report of a failure.
-    #[must_use]
     pub fn text(&self) -> String {
         let short = json!({
             "mode": self.mode(), "reason": self.reason(), "link": self.link(),

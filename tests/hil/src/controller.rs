@@ -89,7 +89,6 @@ pub struct State {
 
 impl State {
     /// The state of a line; `None` for a word about lines that were missed.
-    #[must_use]
     pub fn of(line: &Value) -> Option<Self> {
         let number = |key: &str| line[key].as_f64().unwrap_or_default();
         let word = |key: &str| line[key].as_str().unwrap_or_default().to_owned();
@@ -133,7 +132,6 @@ impl States {
     }
 
     /// The states so far.
-    #[must_use]
     pub fn so_far(&self) -> Vec<State> {
         self.lock().clone()
     }

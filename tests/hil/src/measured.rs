@@ -58,7 +58,6 @@ impl Measurements {
     }
 
     /// The table; empty if nothing was measured.
-    #[must_use]
     pub fn table(&self) -> String {
         let lines = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let mut lines: Vec<&Line> = lines.iter().collect();
@@ -82,7 +81,6 @@ impl Measurements {
 
 /// The smallest value that is not exceeded by `part` (0 to 1) of the sorted values;
 /// NaN without values.
-#[must_use]
 pub fn percentile(sorted: &[f64], part: f64) -> f64 {
     let rank = (part * sorted.len() as f64).ceil() as usize;
     sorted
@@ -150,7 +148,6 @@ pub struct Processors {
 
 impl Processors {
     /// The time now; nothing where the kernel does not report it.
-    #[must_use]
     pub fn now() -> Option<Self> {
         let stat = std::fs::read_to_string("/proc/stat").ok()?;
         let times = stat.lines().next()?.strip_prefix("cpu ")?;
@@ -167,7 +164,6 @@ impl Processors {
     }
 
     /// Share of the processors' time that was free since then, 0 to 1.
-    #[must_use]
     pub fn free_until_now(self) -> Option<f64> {
         let later = Self::now()?;
         let all = later.all.checked_sub(self.all).filter(|&all| all > 0)?;

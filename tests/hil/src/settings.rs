@@ -20,7 +20,6 @@ use crate::{Failure, Outcome};
 /// The paper's circle with feed-forward, for the simulated car.
 ///
 /// The board's failsafe coasts, so that a stop is always exactly neutral.
-#[must_use]
 pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
     Config {
         serial: SerialSection::new(port),
@@ -111,7 +110,6 @@ fn start() -> StartPose {
 }
 
 /// Configuration of the simulation.
-#[must_use]
 pub fn simulation(seed: u64) -> SimulationConfig {
     let mut config = SimulationConfig {
         seed,
@@ -134,7 +132,6 @@ pub fn write(config: &Config, file: &Path) -> Outcome {
 }
 
 /// The daemon's control socket.
-#[must_use]
 pub fn socket(folder: &Path) -> PathBuf {
     folder.join("control.sock")
 }

@@ -19,14 +19,12 @@ pub struct Pulses {
 
 impl Pulses {
     /// Whether the motor is not driven: exactly neutral, or no pulse.
-    #[must_use]
     pub const fn is_neutral(&self, neutral_us: u16) -> bool {
         self.esc_us == 0 || self.esc_us == neutral_us
     }
 
     /// Whether a reset cut the ESC's pulse below neutral; its intended width is
     /// unknown.
-    #[must_use]
     pub const fn is_cut_short_of(&self, neutral_us: u16) -> bool {
         self.cut && self.esc_us < neutral_us
     }
@@ -38,26 +36,22 @@ pub struct Trace(pub Vec<Pulses>);
 
 impl Trace {
     /// Number of pulses, which is also a position for [`Self::since`].
-    #[must_use]
     pub const fn len(&self) -> usize {
         self.0.len()
     }
 
     /// Whether there are no pulses.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
     /// The pulses from a position on.
-    #[must_use]
     pub fn since(&self, place: usize) -> &[Pulses] {
         self.0.get(place..).unwrap_or(&[])
     }
 
     /// The first pulse from which on, to the end, the motor is not driven, except
     /// by a pulse cut by a reset.
-    #[must_use]
     pub fn neutral_from(&self, neutral_us: u16) -> Option<Pulses> {
         self.0
             .iter()

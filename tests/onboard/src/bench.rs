@@ -135,7 +135,6 @@ impl VirtualBench {
     }
 
     /// The simulated car with its host.
-    #[must_use]
     pub const fn drive_of_host(&self) -> &VirtualDrive {
         &self.drive
     }
@@ -146,13 +145,11 @@ impl VirtualBench {
     }
 
     /// The file of the configuration, as the procedures have left it.
-    #[must_use]
     pub fn file(&self) -> &str {
         self.file.text()
     }
 
     /// What the campaign has watched.
-    #[must_use]
     pub const fn guard(&self) -> &Guard {
         &self.guard
     }
@@ -175,27 +172,23 @@ impl VirtualBench {
     }
 
     /// Every question that was asked, once.
-    #[must_use]
     pub fn questions(&self) -> &[Question] {
         &self.questions
     }
 
     /// Every value that was put into the configuration.
-    #[must_use]
     pub fn changes(&self) -> &[(String, Value)] {
         &self.changes
     }
 
     /// The questions that were skipped because no script knows them.
-    #[must_use]
     pub const fn unknown_questions(&self) -> &BTreeMap<String, u32> {
         &self.unknown
     }
 
     /// Time since the car was switched on, in s.
-    #[must_use]
     pub fn seconds(&self) -> f64 {
-        self.drive.world().now_us() as f64 * 1e-6
+        self.drive.world.now_us as f64 * 1e-6
     }
 
     /// One tick of the daemon. What was observed is appended.
@@ -206,7 +199,7 @@ impl VirtualBench {
         self.ticks += 1;
         let tick = self.drive.step();
         self.preflight = tick.tick.output.preflight;
-        self.person.act(self.drive.world_mut());
+        self.person.act(&mut *self.drive.world);
         self.guard.watch(&self.drive, &tick.truth);
         for entry in self.drive.entries() {
             self.observe(&entry, observed);
@@ -283,20 +276,20 @@ impl Bench for VirtualBench {
         if !self.questions.contains(question) {
             self.questions.push(question.clone());
         }
-        let Some(think_s) = self.person.consider(question, self.drive.world()) else {
+        let Some(think_s) = self.person.consider(question, &*self.drive.world) else {
             *self.unknown.entry(question.id.to_string()).or_default() += 1;
             self.pass(1.0);
             return Ok(Answer::Skip);
         };
         // No action of the hands takes longer.
         for _ in 0..1_200 {
-            if !self.person.is_busy(self.drive.world()) {
+            if !self.person.is_busy(&*self.drive.world) {
                 break;
             }
             self.pass(0.1);
         }
         self.pass(think_s);
-        Ok(self.person.answer(question, self.drive.world()))
+        Ok(self.person.answer(question, &*self.drive.world))
     }
 
     fn show(&mut self, _: &Live<'_>) {}
@@ -494,7 +487,6 @@ impl Rehearsal {
     }
 
     /// The question whose text this is, but for its numbers.
-    #[must_use]
     pub fn question(&self, text: &str) -> Option<&Question> {
         let without_numbers = |text: &str| text.replace(|c: char| c.is_ascii_digit(), "");
         let wanted = without_numbers(text);

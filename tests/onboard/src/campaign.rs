@@ -75,13 +75,11 @@ pub struct CarOutcome {
 const FOUND_WITHIN_M: f64 = 0.5;
 
 /// Takes a car through the procedures, and drives the circle with it.
-#[must_use]
 pub fn onboard(car: &OnboardCar) -> CarOutcome {
     onboard_until(car, false)
 }
 
 /// As [`onboard`]; with `found` only until what was planted has been found.
-#[must_use]
 pub fn onboard_until(car: &OnboardCar, found: bool) -> CarOutcome {
     let mut outcome = CarOutcome {
         seed: car.seed,
@@ -109,11 +107,11 @@ fn try_onboard(car: &OnboardCar, found: bool, outcome: &mut CarOutcome) -> Resul
     let mut failed = false;
     'car: for procedure in procedures() {
         for step in &procedure.steps {
-            let before_m = bench.drive_of_host().world().truth().way;
+            let before_m = bench.drive_of_host().world.truth().way;
             bench.guard_mut().begin_step();
             let findings = run(core::slice::from_ref(step), &mut bench, &mut NoJournal)
                 .map_err(|error| text(&error))?;
-            let world = bench.drive_of_host().world();
+            let world = &bench.drive_of_host().world;
             for finding in findings {
                 for parameter in &finding.parameters {
                     let mut m = Measured {
@@ -140,7 +138,7 @@ fn try_onboard(car: &OnboardCar, found: bool, outcome: &mut CarOutcome) -> Resul
                 }
                 outcome.findings.push((procedure.name, finding));
             }
-            let way_m = bench.drive_of_host().world().truth().way;
+            let way_m = bench.drive_of_host().world.truth().way;
             if is_corrected(car, bench.configuration()) && way_m < FOUND_WITHIN_M {
                 outcome.found = true;
             }
@@ -189,7 +187,6 @@ fn is_corrected(car: &OnboardCar, config: &Config) -> bool {
 
 impl CarOutcome {
     /// What became of the car, for people.
-    #[must_use]
     pub fn text(&self, verbose: bool) -> String {
         let mut text = String::new();
         let fault = self.fault.map_or(String::new(), |fault| {
@@ -261,7 +258,6 @@ impl CarOutcome {
 
 impl Measured {
     /// Whether the interval holds the truth.
-    #[must_use]
     pub fn holds(&self) -> bool {
         self.truth
             .is_some_and(|truth| self.estimate.contains(truth))
@@ -363,7 +359,6 @@ pub struct Summary {
 
 impl Summary {
     /// Of these cars.
-    #[must_use]
     pub fn of(cars: &[CarOutcome]) -> Self {
         let mut summary = Self {
             cars: cars.len(),
@@ -395,7 +390,6 @@ impl Summary {
     }
 
     /// Whether nothing happened that must not, and every planted fault was found.
-    #[must_use]
     pub const fn is_good(&self) -> bool {
         self.violations == 0 && self.errors == 0 && self.faults[0] == self.faults[1]
     }
@@ -516,7 +510,6 @@ pub(crate) fn drive(car: &OnboardCar, file: &str) -> Option<Circle> {
 
 impl Circle {
     /// In words.
-    #[must_use]
     pub fn text(&self) -> String {
         match (self.error_m, self.ended) {
             (Some(error), _) => format!("{:.1} mm", error * 1e3),

@@ -40,7 +40,6 @@ impl PlantedFault {
     ];
 
     /// Its name.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::SwappedWires => "swapped-wires",
@@ -88,7 +87,6 @@ fn written(value: f64, digits: i32) -> Value {
 
 impl OnboardCar {
     /// A random car.
-    #[must_use]
     pub fn random(seed: u64) -> Self {
         let mut random = Random::new(seed.wrapping_mul(0x5851_f42d_4c95_7f2d) ^ 0x0b0a);
         let fault = random
@@ -98,7 +96,6 @@ impl OnboardCar {
     }
 
     /// A random car with this fault, or with none.
-    #[must_use]
     pub fn planted(seed: u64, fault: Option<PlantedFault>) -> Self {
         let mut random = Random::new(seed.wrapping_mul(0x5851_f42d_4c95_7f2d) ^ 0x0b0b);
         Self::with_fault(seed, fault, &mut random)
@@ -308,9 +305,8 @@ fn write_key(file: &mut DocumentMut, key: &str, mut value: Value) {
 
 /// The true value of a parameter, in the unit of the procedures; none if there is no such
 /// parameter.
-#[must_use]
 pub fn truth_of(name: &str, procedure: &str, world: &World) -> Option<f64> {
-    let simulation = world.config();
+    let simulation = &world.config;
     let car = &simulation.car;
     let cameras = &simulation.cameras;
     let motor = &car.motor;

@@ -59,7 +59,6 @@ impl Guard {
     }
 
     /// What happened and must not.
-    #[must_use]
     pub fn violations(&self) -> &[Violation] {
         &self.violations
     }
@@ -75,9 +74,9 @@ impl Guard {
     }
 
     pub(crate) fn watch(&mut self, drive: &VirtualDrive, truth: &Truth) {
-        let world = drive.world();
+        let world = &drive.world;
         let now_s = truth.time_us as f64 * 1e-6;
-        let mode = world.board().telemetry().map(|telemetry| telemetry.mode);
+        let mode = world.board.telemetry().map(|telemetry| telemetry.mode);
         let armed = matches!(
             mode,
             Some(
@@ -85,7 +84,7 @@ impl Guard {
             )
         );
         let free = !truth.held;
-        let driven = free && !armed && world.car().motor_is_driven();
+        let driven = free && !armed && world.car.motor_is_driven();
         self.driven_since = driven.then(|| self.driven_since.unwrap_or(now_s));
         let runs_on = self
             .driven_since
@@ -133,7 +132,7 @@ impl Guard {
 
     /// At the end of a procedure, when the car has had its time to roll out.
     pub(crate) fn end(&mut self, drive: &VirtualDrive) {
-        let truth = drive.world().truth();
+        let truth = drive.world.truth();
         let at_s = truth.time_us as f64 * 1e-6;
         let turns = truth.wheel_speed.abs() > 0.02;
         if drive.mode().is_underway() || turns {

@@ -28,7 +28,7 @@ pub trait Hands {
 
 impl Hands for World {
     fn now_us(&self) -> u64 {
-        Self::now_us(self)
+        self.now_us
     }
 
     fn look(&self) -> View {
@@ -36,7 +36,7 @@ impl Hands for World {
     }
 
     fn is_moving(&self) -> bool {
-        self.car().is_in_motion_by_hand()
+        self.car.is_in_motion_by_hand()
     }
 
     fn apply(&mut self, command: HandCommand) {
@@ -44,7 +44,7 @@ impl Hands for World {
     }
 
     fn rear_axle_m(&self) -> f64 {
-        self.config().car.vehicle.rear_axle_distance_m
+        self.config.car.vehicle.rear_axle_distance_m
     }
 }
 
@@ -103,7 +103,6 @@ const ROLL_M_S: f64 = 0.4;
 
 impl Person {
     /// A person with habits of its own.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         let mut random = Random::new(seed ^ 0x6861_6e64);
         let has_kill_switch = random.happens(0.6);
@@ -125,7 +124,6 @@ impl Person {
 
     /// A person who answers at once and carries the car quickly. What it does with the car is
     /// as slow as ever.
-    #[must_use]
     pub fn in_a_hurry(seed: u64) -> Self {
         Self {
             hurries: true,

@@ -56,7 +56,7 @@ impl Mortal<'_> {
 
 impl Bench for Mortal<'_> {
     fn wait(&mut self, observed: &mut Vec<Observation>) -> Result<(), Interrupted> {
-        self.is_dead |= (self.when)(&self.bench.drive_of_host().world().truth(), &self.asked);
+        self.is_dead |= (self.when)(&self.bench.drive_of_host().world.truth(), &self.asked);
         if self.is_dead {
             return Err(Interrupted::ByOperator);
         }
@@ -146,14 +146,14 @@ fn killed_and_resumed(
         result.map(|_| ())
     );
     let file = bench.file().to_owned();
-    let killed = bench.drive_of_host().world().truth();
+    let killed = bench.drive_of_host().world.truth();
     bench.lose_operator();
     let begun = bench.seconds();
     let mut unseen = Vec::new();
     while bench.seconds() < begun + seconds {
         bench.wait(&mut unseen).unwrap();
     }
-    let stopped = bench.drive_of_host().world().truth();
+    let stopped = bench.drive_of_host().world.truth();
     assert_eq!(bench.file(), file);
     assert_eq!(journal.begun.last(), Some(&step));
 

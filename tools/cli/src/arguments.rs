@@ -61,7 +61,6 @@ fn socket_parser() -> impl TypedValueParser<Value = PathBuf> {
 /// Lets the options that take numbers, durations or times take negative ones, in all
 /// subcommands: their own check then refuses it by the name of the option and with the value,
 /// where the parser would see an unknown option.
-#[must_use]
 pub fn take_negative_numbers(command: Command) -> Command {
     command
         .mut_args(|argument| {
@@ -94,7 +93,6 @@ pub fn parse_duration(text: &str) -> Result<Duration, String> {
 
 /// Whether it is an option that must have a value which is no name: not of a file, of a thing, or
 /// of one of a few.
-#[must_use]
 pub fn takes_number(argument: &Arg) -> bool {
     // Of an optional value, the next option would be taken for it.
     let is_optional = argument

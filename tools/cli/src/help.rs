@@ -25,7 +25,6 @@ pub(crate) fn wrap(text: &str, columns: usize) -> impl Iterator<Item = String> {
 
 /// The text with its control characters, but for ends of lines and tabulators, as `\u001b`: what a
 /// record or a program sent must not command the terminal. JSON stays JSON.
-#[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
     let commands = |letter: char| letter.is_control() && !matches!(letter, '\n' | '\t');
     if !text.contains(commands) {
@@ -66,7 +65,6 @@ const COLUMNS: usize = 100;
 const NAMES: usize = 15;
 
 /// Lists the subcommands of `command` by [`GROUPS`] in its help.
-#[must_use]
 pub fn grouped(command: Command) -> Command {
     let header = *command.get_styles().get_header();
     let literal = *command.get_styles().get_literal();

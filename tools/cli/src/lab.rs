@@ -48,7 +48,6 @@ pub const COMMANDS: [(&str, &str); 9] = [
 ];
 
 /// Adds the commands to the list of all. What they take is their program's.
-#[must_use]
 pub fn listed(mut command: Command) -> Command {
     for (name, about) in COMMANDS {
         let any = Arg::new("arguments")

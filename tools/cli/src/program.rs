@@ -81,13 +81,11 @@ enum SummaryFormat {
 }
 
 /// Its options and commands, without those of the laboratory.
-#[must_use]
 pub fn command() -> clap::Command {
     Cli::command()
 }
 
 /// Runs the command line of this process.
-#[must_use]
 pub fn main() -> ExitCode {
     match lab::run().map_err(Into::into).and_then(|()| run(&parse())) {
         Ok(status) => status,

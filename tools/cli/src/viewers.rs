@@ -116,7 +116,7 @@ pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
     let token = section.token_file.map_or_else(String::new, |path| {
         format!("/?token=TOKEN with the token from {}", path.display())
     });
-    print(&format!("Page: http://{}{token}\n", page.address()))?;
+    print(&format!("Page: http://{}{token}\n", page.address))?;
     wait(&interrupt);
     Ok(())
 }
@@ -179,7 +179,7 @@ mod live {
         section.port = args.port.unwrap_or(section.port);
         start_log();
         let live = singletrack_viewers::live::Live::start(socket, section)?;
-        print(&format!("Live view: ws://{}\n", live.address()))?;
+        print(&format!("Live view: ws://{}\n", live.address))?;
         wait(&interrupt);
         Ok(())
     }

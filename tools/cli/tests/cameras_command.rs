@@ -29,7 +29,7 @@ fn simulator(kind: ServerKind) -> RealTimeSimulator {
 fn section(kind: ServerKind, simulator: &RealTimeSimulator) -> MotionCaptureSection {
     MotionCaptureSection {
         kind,
-        command_port: Some(simulator.command_address().port()),
+        command_port: Some(simulator.command_address.port()),
         ..MotionCaptureSection::new(Ipv4Addr::LOCALHOST, "car", UpAxis::Y)
     }
 }
@@ -79,7 +79,7 @@ fn cameras(kind: ServerKind, port: u16, within: &str, more: &[&str]) -> (bool, S
 fn the_bodies_of_every_kind_of_server_are_listed_with_rate_noise_and_latency() {
     for kind in ServerKind::ALL {
         let simulator = simulator(kind);
-        let port = simulator.command_address().port();
+        let port = simulator.command_address.port();
         let (is_good, text) = cameras(kind, port, "3s", &["--format", "json"]);
         assert!(is_good, "{text}");
         let report: Value = serde_json::from_str(&text).unwrap();
@@ -135,7 +135,7 @@ fn the_wrong_kind_and_the_wrong_port_are_told_apart() {
     let last = found.last().unwrap();
     assert_eq!(last.word, "unsupported-version", "{last}");
     assert!(last.text.contains("motion_capture.kind"), "{last}");
-    let port = vrpn.command_address().port();
+    let port = vrpn.command_address.port();
     let (is_good, text) = cameras(ServerKind::Qualisys, port, "3s", &[]);
     assert!(!is_good && text.contains("something else"), "{text}");
     drop(vrpn);

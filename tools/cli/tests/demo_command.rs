@@ -84,7 +84,7 @@ fn a_demo_in_a_pipe_prints_its_summary_and_leaves_what_it_promises() {
     );
     let mut record = Reader::open(&folder.path().join("demo.mcap")).unwrap();
     assert!(record.by_ref().all(|entry| entry.is_ok()));
-    assert_eq!(record.ending(), Some(Ending::Finished));
+    assert_eq!(record.ending, Some(Ending::Finished));
     let replay = Command::new(env!("CARGO_BIN_EXE_singletrack"))
         .args(["replay", "--verify"])
         .arg(folder.path().join("demo.mcap"))

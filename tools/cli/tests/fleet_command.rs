@@ -84,13 +84,13 @@ fn start(
         })
         .join()
         .unwrap();
-        config.serial.port = simulator.pty_path().to_owned();
-        let mut cameras = simulator.command_address().port();
+        config.serial.port = simulator.pty_path.to_owned();
+        let mut cameras = simulator.command_address.port();
         if let Some(relay) = &mut relay {
             cameras = *relayed.get_or_insert_with(|| relay(cameras));
         }
         config.motion_capture.command_port = Some(cameras);
-        config.motion_capture.data_port = simulator.data_address().port();
+        config.motion_capture.data_port = simulator.data_address.port();
         config.state.directory = folder.join("state");
         config.record.enabled = false;
         config.socket.path = folder.join("control.sock");

@@ -69,7 +69,7 @@ fn a_truncated_record_is_renamed_with_a_report_of_saved_and_lost_data() {
     assert!(output.stderr.is_empty());
     let mut reader = Reader::open(&folder.path().join("drive.mcap")).unwrap();
     assert_eq!(reader.by_ref().map(Result::unwrap).count(), 2);
-    assert_eq!(reader.ending(), Some(Ending::Finished));
+    assert_eq!(reader.ending, Some(Ending::Finished));
     assert!(folder.path().join("drive.mcap.part").exists());
 
     // Again, and the one that is there is not touched.

@@ -75,7 +75,7 @@ fn circle(folder: &TempDir) -> PathBuf {
 /// The record with its entries changed.
 fn changed(from: &Path, to: &Path, change: &mut dyn FnMut(Entry) -> Option<Entry>) -> PathBuf {
     let reader = Reader::open(from).unwrap();
-    let mut recorder = Recorder::create(to, reader.meta()).unwrap();
+    let mut recorder = Recorder::create(to, &reader.meta).unwrap();
     for entry in reader {
         if let Some(entry) = change(entry.unwrap()) {
             recorder.write(&entry).unwrap();
@@ -346,7 +346,7 @@ fn a_difference_tells_if_another_version_made_the_record() {
     });
     assert!(!stderr(&replay(&path, &[])).contains("made by"));
     let reader = Reader::open(&path).unwrap();
-    let mut meta = reader.meta().clone();
+    let mut meta = reader.meta.clone();
     let version = String::from("0.0.7");
     meta.software.insert("singletrackd".to_owned(), version);
     let old = folder.path().join("old.mcap");

@@ -57,7 +57,6 @@ pub fn print(text: &str) -> io::Result<()> {
 
 /// Puts each part in the place of its name in braces. What is in a part is not looked
 /// at again, and braces around no name stay.
-#[must_use]
 pub fn fill(template: &str, parts: &[(&str, impl AsRef<str>)]) -> String {
     let mut page = String::with_capacity(template.len());
     let mut rest = template;

@@ -80,7 +80,7 @@ pub(crate) fn imported(log: &str, map: &str) -> Imported {
 /// What the record at a path holds.
 pub(crate) fn read(path: &Path, summary: Summary) -> Imported {
     let reader = Reader::open(path).unwrap();
-    let meta = reader.meta().clone();
+    let meta = reader.meta.clone();
     Imported {
         summary,
         meta,

@@ -184,7 +184,7 @@ t,x,y,yaw,v,s,ax,ay,w
     let imported = imported(log, &map);
     assert_eq!(imported.motor_speeds(), [(10.0, 1.0)]);
     assert_eq!(imported.observations().len(), 1);
-    assert_eq!(imported.summary.motor.count(), 1);
+    assert_eq!(imported.summary.motor.count, 1);
     assert_eq!(imported.steering()[2], (20.0, 0.0));
 }
 
@@ -193,7 +193,7 @@ fn an_empty_pose_is_one_that_is_not_finite_unless_the_map_says_otherwise() {
     let log = "t,x,y,yaw,v,s\n0,,,,1,0\n0.01,1,,0,1,0\n0.02,1,inf,0,1,0\n0.03,1,2,0,1,0\n";
     let imported = imported(log, MAP);
     assert_eq!(imported.summary.rejected, 3);
-    assert_eq!(imported.summary.poses.count(), 1);
+    assert_eq!(imported.summary.poses.count, 1);
     assert_eq!(imported.poses()[0].frame, 3);
 }
 

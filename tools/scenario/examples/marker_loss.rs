@@ -141,8 +141,8 @@ fn lose(
     let start_us = drive.next_tick_us() + (SETTLED * 1e6) as u64 + number * 413_700;
     let end_us = start_us + loss_ms * 1_000;
     drive
-        .world_mut()
-        .cameras_mut()
+        .world
+        .cameras
         .add_loss_window(LossWindow { start_us, end_us });
 
     let mut last: Option<[f64; 2]> = None;

@@ -38,7 +38,6 @@ pub struct Drive {
 impl Drive {
     /// The paper's car with P 0.35 m in front of its front axle. P follows the reference with
     /// unit gain and feed-forward; velocity steps, which have no position, are passed on.
-    #[must_use]
     pub fn following(reference: ReferenceSection) -> Self {
         let vehicle = VehicleParameters::paper();
         Self {
@@ -62,7 +61,6 @@ impl Drive {
 
 /// The daemon's configuration for the simulated car, with the calibration of its
 /// board. Port, addresses and paths are placeholders: virtual time uses none of them.
-#[must_use]
 pub fn daemon_config(drive: Drive) -> Config {
     let mut config = Config::new(
         SerialSection::new("simulated"),
@@ -82,7 +80,6 @@ pub fn daemon_config(drive: Drive) -> Config {
 }
 
 /// Where G must be for a point of the car, `reach` (m) ahead of it, to stand at `point` (m).
-#[must_use]
 pub fn start_of([x, y]: [f64; 2], reach: f64, yaw_rad: f64) -> StartPose {
     let centre = Position::new(x, y) - reach * direction(yaw_rad);
     StartPose {

@@ -18,7 +18,6 @@ pub struct TrackingError {
 
 impl TrackingError {
     /// Of these distances from P to its reference, in m; `None` without any.
-    #[must_use]
     pub fn of(distances: &[f64]) -> Option<Self> {
         let sorted = Distribution::of(distances.iter().copied());
         Some(Self {
@@ -68,7 +67,6 @@ pub struct Tracking {
 ///
 /// Amplitude and lag come from a least-squares fit of a circle at the reference's
 /// frequency to P.
-#[must_use]
 pub fn last_turn(samples: &[Sample], centre: [f64; 2], angular_velocity: f64) -> Option<Tracking> {
     let turn = TAU / angular_velocity.abs();
     let end = samples.last()?.time;
@@ -96,7 +94,6 @@ pub fn last_turn(samples: &[Sample], centre: [f64; 2], angular_velocity: f64) ->
 }
 
 /// Root mean square of the distance from P to its reference, in m; `None` without a sample.
-#[must_use]
 pub fn rms_error(samples: &[Sample]) -> Option<f64> {
     let mut errors = RootMeanSquare::default();
     for Sample {

@@ -73,7 +73,8 @@ pub struct VirtualTick {
 #[derive(Debug)]
 pub struct VirtualDrive {
     // Both are large; a drive is moved from function to function.
-    world: Box<World>,
+    /// The world.
+    pub world: Box<World>,
     host: Box<VirtualHost<WriteHalf>>,
     port: SimulatedPort,
     host_us: u64,
@@ -225,25 +226,12 @@ impl VirtualDrive {
         self.entries.as_mut().map_or_else(Vec::new, core::mem::take)
     }
 
-    /// The world.
-    #[must_use]
-    pub const fn world(&self) -> &World {
-        &self.world
-    }
-
-    /// The world, for faults.
-    pub const fn world_mut(&mut self) -> &mut World {
-        &mut self.world
-    }
-
     /// The controller.
-    #[must_use]
     pub const fn controller(&self) -> &Controller {
         self.host.controller()
     }
 
     /// The pilot's mode after the last tick.
-    #[must_use]
     pub const fn mode(&self) -> Mode {
         self.host.mode()
     }
@@ -309,13 +297,11 @@ impl VirtualDrive {
     }
 
     /// When the next tick is due, in µs of the simulation, rounded up. A frame may make it sooner.
-    #[must_use]
     pub const fn next_tick_us(&self) -> u64 {
         self.host.next_tick_ns().div_ceil(1_000)
     }
 
     /// The present time of the simulation, in µs.
-    #[must_use]
     pub const fn now_us(&self) -> u64 {
         self.host_us
     }

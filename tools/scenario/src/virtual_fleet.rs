@@ -29,9 +29,11 @@ pub struct FleetCar {
 /// The cars.
 #[derive(Debug)]
 pub struct VirtualFleet {
-    cars: Vec<VirtualDrive>,
+    /// The cars.
+    pub cars: Vec<VirtualDrive>,
     floor: Floor,
-    now_us: u64,
+    /// The present time of the simulation, in µs.
+    pub now_us: u64,
 }
 
 impl VirtualFleet {
@@ -53,17 +55,6 @@ impl VirtualFleet {
             floor: fleet_floor(cars),
             now_us: 0,
         })
-    }
-
-    /// The cars.
-    #[must_use]
-    pub fn cars(&self) -> &[VirtualDrive] {
-        &self.cars
-    }
-
-    /// The cars, for records and faults.
-    pub fn cars_mut(&mut self) -> &mut [VirtualDrive] {
-        &mut self.cars
     }
 
     /// Waits until all cars can drive, arms them at once, and goes on until all drive.
@@ -94,16 +85,9 @@ impl VirtualFleet {
         self.floor.show(index, seen);
     }
 
-    /// The present time of the simulation, in µs.
-    #[must_use]
-    pub const fn now_us(&self) -> u64 {
-        self.now_us
-    }
-
     /// The least distance between two bodies so far, in m; negative if they have overlapped.
-    #[must_use]
     pub const fn nearest_m(&self) -> f64 {
-        self.floor.nearest_m()
+        self.floor.nearest_m
     }
 
     /// Advances all cars to `until_us` of the simulation. `on_tick` is given every tick with the
@@ -123,19 +107,18 @@ impl VirtualFleet {
     /// Tells every car's cameras where the others are, and stops those that drive into another.
     fn exchange(&mut self) {
         for (index, car) in self.cars.iter_mut().enumerate() {
-            if self.floor.place(index, 0, car.world().truth()) {
-                car.world_mut().car_mut().collide();
+            if self.floor.place(index, 0, car.world.truth()) {
+                car.world.car.collide();
             }
         }
         for (index, car) in self.cars.iter_mut().enumerate() {
             let decoys = self.floor.decoys(index, 0);
-            car.world_mut().cameras_mut().move_decoys(decoys);
+            car.world.cameras.move_decoys(decoys);
         }
     }
 }
 
 /// The floor of these cars.
-#[must_use]
 pub fn fleet_floor(cars: &[FleetCar]) -> Floor {
     Floor::new(cars.iter().map(|car| {
         let vehicle = &car.config.vehicle;
@@ -145,7 +128,6 @@ pub fn fleet_floor(cars: &[FleetCar]) -> Floor {
 
 /// The world of a car: the others are rigid bodies by their names, and every world's cameras
 /// give each the same number.
-#[must_use]
 pub fn fleet_simulation(cars: &[FleetCar], index: usize) -> SimulationConfig {
     let mut simulation = SimulationConfig::default();
     let bodies = (1..).zip(cars).map(|(id, car)| DecoyBody {

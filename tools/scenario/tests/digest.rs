@@ -30,9 +30,9 @@ fn a_run_tick_by_tick_its_record_and_a_simulation_have_one_digest() {
         rows += usize::from(matches!(run.advance().unwrap(), Progress::Row(_)));
     }
     assert_eq!(rows, simulated.rows.len());
-    assert_eq!(run.laboratory().digest(), simulated.digest);
+    assert_eq!(run.laboratory.digest, simulated.digest);
 
-    let record = run.laboratory_mut().take_record().unwrap();
+    let record = run.laboratory.take_record().unwrap();
     let mut recorded = Digest::default();
     for entry in Reader::from_read(Cursor::new(record), Path::new("memory")).unwrap() {
         if let Entry::Tick(tick) = entry.unwrap() {

@@ -43,7 +43,7 @@ fn drive(config: &Config, seed: u64, blind_after: Option<f64>) -> (f64, Option<R
     drive.start().unwrap();
     if let Some(seconds) = blind_after {
         let start_us = drive.next_tick_us() + (seconds * 1e6) as u64;
-        drive.world_mut().cameras_mut().add_loss_window(LossWindow {
+        drive.world.cameras.add_loss_window(LossWindow {
             start_us,
             end_us: start_us + 60_000_000,
         });

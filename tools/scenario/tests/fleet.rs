@@ -46,8 +46,8 @@ struct Seen {
 }
 
 fn advance(fleet: &mut VirtualFleet, seconds: f64) -> Vec<Seen> {
-    let mut seen = vec![Seen::default(); fleet.cars().len()];
-    let until_us = fleet.now_us() + (seconds * 1e6) as u64;
+    let mut seen = vec![Seen::default(); fleet.cars.len()];
+    let until_us = fleet.now_us + (seconds * 1e6) as u64;
     fleet.advance_to(until_us, &mut |index, tick| {
         let output = &tick.tick.output;
         let seen = &mut seen[index];
@@ -122,12 +122,12 @@ fn a_car_is_not_armed_without_one_that_it_expects() {
     lonely.config.neighbours.expected = vec!["car2".to_owned()];
     let mut fleet = VirtualFleet::new(&[lonely]).unwrap();
     advance(&mut fleet, 3.0);
-    let drive = &fleet.cars()[0];
+    let drive = &fleet.cars[0];
     drive
         .request(PilotRequest::Arm(Arming::Unattended))
         .unwrap();
     advance(&mut fleet, 0.5);
-    let pilot = fleet.cars()[0].controller().pilot();
+    let pilot = fleet.cars[0].controller().pilot();
     assert_eq!(
         (pilot.mode(), pilot.reason()),
         (Mode::Idle, Some(Reason::NeighbourUnknown))
@@ -171,7 +171,7 @@ fn the_reference_of_an_unproved_car_that_waits_for_another_never_goes_back() {
     fleet.start().unwrap();
     let mut last = [0.0; 2];
     let mut waited = 0;
-    let until_us = fleet.now_us() + 8_000_000;
+    let until_us = fleet.now_us + 8_000_000;
     fleet.advance_to(until_us, &mut |index, tick| {
         let output = &tick.tick.output;
         if output.mode == Mode::Driving {

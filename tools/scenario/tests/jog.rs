@@ -71,14 +71,14 @@ fn wait(drive: &mut VirtualDrive, ms: u64) {
 }
 
 fn board(drive: &VirtualDrive) -> (BoardMode, StopCause) {
-    let telemetry = drive.world().board().telemetry().unwrap();
+    let telemetry = drive.world.board.telemetry().unwrap();
     (telemetry.mode, telemetry.stop_cause)
 }
 
 /// Time from `from_us` to the first pulse from which on the ESC is at neutral, µs; none if
 /// it is not.
 fn neutral_after(drive: &VirtualDrive, from_us: u64) -> Option<u64> {
-    let pulses = drive.world().board().pulses();
+    let pulses = &drive.world.board.pulses;
     let neutral = pulses.neutral_from(from_us, NEUTRAL_US, 0)?;
     Some(neutral.time_us - from_us)
 }
@@ -86,7 +86,7 @@ fn neutral_after(drive: &VirtualDrive, from_us: u64) -> Option<u64> {
 fn turning() -> VirtualDrive {
     let mut drive = jogging();
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
-    assert!(drive.world().truth().wheel_speed > 0.1);
+    assert!(drive.world.truth().wheel_speed > 0.1);
     drive
 }
 
@@ -98,12 +98,12 @@ fn reason(drive: &VirtualDrive) -> Option<Reason> {
 fn a_hand_steers_and_turns_the_wheels() {
     let mut drive = jogging();
     hold(&mut drive, pulses(1_400, NEUTRAL_US), 500);
-    assert!(drive.world().truth().steering > 0.1, "to the left");
+    assert!(drive.world.truth().steering > 0.1, "to the left");
     hold(&mut drive, pulses(1_600, NEUTRAL_US), 500);
-    assert!(drive.world().truth().steering < -0.1, "to the right");
-    assert!(drive.world().truth().speed.abs() < 1e-3);
+    assert!(drive.world.truth().steering < -0.1, "to the right");
+    assert!(drive.world.truth().speed.abs() < 1e-3);
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
-    assert!(drive.world().truth().speed > 0.1);
+    assert!(drive.world.truth().speed > 0.1);
     assert_eq!(drive.mode(), Mode::Jogging);
     assert_eq!(board(&drive).0, BoardMode::Jogging);
 }
@@ -111,7 +111,7 @@ fn a_hand_steers_and_turns_the_wheels() {
 #[test]
 fn a_hand_that_lets_go_ends_at_neutral_within_0_3_s() {
     let mut drive = turning();
-    let last_us = drive.world().now_us();
+    let last_us = drive.world.now_us;
     wait(&mut drive, 1_000);
     // 0.25 s by the daemon, a tick, the line and a servo frame.
     let neutral = neutral_after(&drive, last_us).unwrap();
@@ -123,7 +123,7 @@ fn a_hand_that_lets_go_ends_at_neutral_within_0_3_s() {
 #[test]
 fn renewals_without_pulses_do_not_hold_a_hand_that_let_go() {
     let mut drive = turning();
-    let last_us = drive.world().now_us();
+    let last_us = drive.world.now_us;
     for _ in 0..100 {
         drive.request(PilotRequest::Hold).unwrap();
         drive.step();
@@ -141,7 +141,7 @@ fn a_disarm_a_stop_and_a_missing_operator_end_at_neutral_within_120_ms() {
         (PilotRequest::EmergencyStop, Reason::EmergencyStop),
     ] {
         let mut drive = turning();
-        let asked_us = drive.world().now_us();
+        let asked_us = drive.world.now_us;
         drive.request(request).unwrap();
         // The hand goes on.
         hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
@@ -159,16 +159,16 @@ fn pulled(own_supply: bool) -> (VirtualDrive, u64) {
     start_jogging(&mut drive);
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 500);
     assert!(drive.step().truth.wheel_speed > 0.1);
-    let pulled_us = drive.world().now_us();
-    drive.world_mut().set_cable(false);
+    let pulled_us = drive.world.now_us;
+    drive.world.set_cable(false);
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
     (drive, pulled_us)
 }
 
 /// Plugs the cable in again: the hand goes on, and the board does not.
 fn plugged_again(mut drive: VirtualDrive) {
-    let plugged_us = drive.world().now_us();
-    drive.world_mut().set_cable(true);
+    let plugged_us = drive.world.now_us;
+    drive.world.set_cable(true);
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 4_000);
     assert!(neutral_after(&drive, plugged_us).unwrap() <= NEUTRAL_WITHIN_US);
     assert_eq!(drive.mode(), Mode::Ready, "not armed again");
@@ -179,7 +179,7 @@ fn a_pulled_cable_ends_at_neutral_within_120_ms_by_a_board_with_its_own_supply()
     let (drive, pulled_us) = pulled(true);
     let neutral = neutral_after(&drive, pulled_us).unwrap();
     assert!(neutral <= NEUTRAL_WITHIN_US, "{neutral} us");
-    let last = drive.world().board().pulses().last().copied().unwrap();
+    let last = drive.world.board.pulses.last().copied().unwrap();
     assert_eq!(last.esc_us, NEUTRAL_US);
     plugged_again(drive);
 }
@@ -187,7 +187,7 @@ fn a_pulled_cable_ends_at_neutral_within_120_ms_by_a_board_with_its_own_supply()
 #[test]
 fn a_pulled_cable_takes_the_pulses_along_and_the_esc_stops_by_itself() {
     let (mut drive, pulled_us) = pulled(false);
-    let pulses: Vec<_> = drive.world().board().pulses().iter().copied().collect();
+    let pulses: Vec<_> = drive.world.board.pulses.iter().copied().collect();
     let mut later = pulses.iter().filter(|pulse| pulse.time_us >= pulled_us);
     assert!(later.all(|pulse| pulse.esc_us == 0), "no neutral pulse");
     assert_eq!(drive.step().truth.wheel_speed, 0.0);
@@ -201,8 +201,8 @@ fn a_stop_switch_ends_at_neutral_and_is_latched() {
     let mut drive = VirtualDrive::new(config, 1, simulation()).unwrap();
     start_jogging(&mut drive);
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
-    let opened_us = drive.world().now_us();
-    drive.world_mut().board_mut().set_stop_input_open(true);
+    let opened_us = drive.world.now_us;
+    drive.world.board.set_stop_input_open(true);
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
     let neutral = neutral_after(&drive, opened_us).unwrap();
     assert!(neutral <= 40_000, "{neutral} us");
@@ -216,11 +216,11 @@ fn a_stop_switch_ends_at_neutral_and_is_latched() {
 #[test]
 fn a_reset_of_the_board_ends_it_and_does_not_jog_again() {
     let mut drive = turning();
-    let pressed_us = drive.world().now_us();
-    drive.world_mut().press_reset();
+    let pressed_us = drive.world.now_us;
+    drive.world.press_reset();
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 5_000);
     // No pulses at all while the bootloader runs; the first one after it is neutral.
-    let pulses = drive.world().board().pulses().iter();
+    let pulses = drive.world.board.pulses.iter();
     let later: Vec<_> = pulses
         .filter(|pulse| pulse.time_us >= pressed_us + 40_000)
         .collect();
@@ -236,10 +236,10 @@ fn the_motor_gets_at_most_150_us_from_neutral_whatever_the_hand_gives() {
         hold(&mut drive, pulses(servo_us, esc_us), 300);
         hold(&mut drive, pulses(STRAIGHT_US, NEUTRAL_US), 100);
     }
-    let board = drive.world().board();
+    let board = &drive.world.board;
     let servo = config().board.servo;
     let mut farthest = 0;
-    for pulse in board.pulses().iter().filter(|pulse| pulse.servo_us != 0) {
+    for pulse in board.pulses.iter().filter(|pulse| pulse.servo_us != 0) {
         farthest = farthest.max(pulse.esc_us.abs_diff(NEUTRAL_US));
         assert!((servo.min_us..=servo.max_us).contains(&pulse.servo_us));
     }
@@ -266,7 +266,7 @@ fn wheels_above_1_m_s_end_it() {
 #[test]
 fn ten_seconds_of_turning_wheels_end_it() {
     let mut drive = jogging();
-    let begun_us = drive.world().now_us();
+    let begun_us = drive.world.now_us;
     hold(&mut drive, pulses(STRAIGHT_US, 1_545), 12_000);
     assert_eq!(board(&drive), (BoardMode::Failsafe, StopCause::JogTooLong));
     let neutral = neutral_after(&drive, begun_us).unwrap();
@@ -277,10 +277,10 @@ fn ten_seconds_of_turning_wheels_end_it() {
 fn a_dead_pulse_sensor_ends_it_within_0_7_s() {
     let mut drive = jogging();
     drive
-        .world_mut()
-        .car_mut()
+        .world
+        .car
         .set_motor_sensor_fault(MotorSensorFault::Gone);
-    let begun_us = drive.world().now_us();
+    let begun_us = drive.world.now_us;
     hold(&mut drive, pulses(STRAIGHT_US, 1_600), 3_000);
     assert_eq!(board(&drive), (BoardMode::Failsafe, StopCause::MotorSensor));
     let neutral = neutral_after(&drive, begun_us).unwrap();
@@ -381,7 +381,7 @@ impl Hand {
 
     /// A tick: the hand, what goes wrong, and what must hold.
     fn tick(&mut self) {
-        let now_us = self.drive.world().now_us();
+        let now_us = self.drive.world.now_us;
         if matches!(self.drive.mode(), Mode::Idle | Mode::Ready) && self.random.below(20) == 0 {
             self.drive.request(PilotRequest::Arm(Arming::Jog)).unwrap();
         }
@@ -410,11 +410,11 @@ impl Hand {
             && now_us > pulled_us + 1_000_000
         {
             self.pulled_us = None;
-            self.drive.world_mut().set_cable(true);
+            self.drive.world.set_cable(true);
         }
         if self.drive.mode() == Mode::Fault && self.random.below(100) == 0 {
-            let world = self.drive.world_mut();
-            world.board_mut().set_stop_input_open(false);
+            let world = &mut self.drive.world;
+            world.board.set_stop_input_open(false);
             world.press_reset();
         }
         let truth = self.drive.step().truth;
@@ -435,16 +435,16 @@ impl Hand {
         match self.random.below(7) {
             0 if self.pulled_us.is_none() => {
                 self.pulled_us = Some(now_us);
-                self.drive.world_mut().set_cable(false);
+                self.drive.world.set_cable(false);
             }
-            1 => self.drive.world_mut().press_reset(),
+            1 => self.drive.world.press_reset(),
             2 => {
-                let board = self.drive.world_mut().board_mut();
+                let board = &mut self.drive.world.board;
                 board.set_stop_input_open(true);
             }
             3 => {
                 self.sensor_is_dead = true;
-                let car = self.drive.world_mut().car_mut();
+                let car = &mut self.drive.world.car;
                 car.set_motor_sensor_fault(MotorSensorFault::Gone);
             }
             4 => self.drive.request(PilotRequest::Disarm).unwrap(),
@@ -454,9 +454,9 @@ impl Hand {
     }
 
     fn check_pulses(&mut self) {
-        let log = self.drive.world().board().pulses();
-        let new = (log.total() - self.checked) as usize;
-        self.checked = log.total();
+        let log = &self.drive.world.board.pulses;
+        let new = (log.total - self.checked) as usize;
+        self.checked = log.total;
         let mut latest: Vec<_> = log.iter().rev().take(new).copied().collect();
         latest.reverse();
         for pulse in latest {

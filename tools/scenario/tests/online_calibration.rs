@@ -130,7 +130,7 @@ impl LiveDrive {
         let calibration = OnlineCalibration::new(&config).unwrap();
         let first = drive.start().unwrap();
         let now_us = drive.now_us();
-        drive.world_mut().set_epoch(Some(now_us));
+        drive.world.set_epoch(Some(now_us));
         let last = first.tick.output;
         let live = Self {
             drive,

@@ -38,7 +38,7 @@ fn simulation(pulse_distance_um: u16) -> SimulationConfig {
 }
 
 fn stop_cause(drive: &VirtualDrive) -> StopCause {
-    drive.world().board().code().unwrap().stop_cause()
+    drive.world.board.code().unwrap().stop_cause()
 }
 
 #[test]
@@ -72,8 +72,8 @@ fn a_dead_sensor_stops_the_car_within_a_quarter_of_a_metre() {
         let config = circle(distance_um);
         let mut drive = VirtualDrive::new(config, 1, simulation(distance_um)).unwrap();
         drive
-            .world_mut()
-            .car_mut()
+            .world
+            .car
             .set_motor_sensor_fault(MotorSensorFault::Gone);
         let start = drive.start().unwrap().truth;
         let mut way = 0.0;

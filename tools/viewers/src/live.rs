@@ -80,7 +80,8 @@ impl From<io::Error> for LiveError {
 /// A live view. It ends when this value is dropped.
 #[derive(Debug)]
 pub struct Live {
-    address: SocketAddr,
+    /// The address that it listens on, with the port in use.
+    pub address: SocketAddr,
     stop: Arc<Notify>,
     thread: Option<JoinHandle<()>>,
     _follower: Follower,
@@ -135,12 +136,6 @@ impl Live {
             thread: Some(thread),
             _follower: follower,
         })
-    }
-
-    /// The address that it listens on, with the port in use.
-    #[must_use]
-    pub const fn address(&self) -> SocketAddr {
-        self.address
     }
 }
 
@@ -224,7 +219,7 @@ fn follow(socket: &Path, publisher: &Publisher, shared: &Shared) -> Result<(), C
     };
     let mut stream = MessageStream::open(socket, &[], PATIENCE).map_err(in_time)?;
     shared.set_lost(None);
-    let clocks = stream.clocks();
+    let clocks = stream.clocks;
     let clocks = ClockMapping {
         monotonic_ns: clocks.monotonic_ns,
         wall_ns: clocks.wall_ns,

@@ -25,7 +25,7 @@ fn live(folder: &TempDir) -> Live {
         ..LiveSection::default()
     };
     let live = Live::start(folder.path().join("control.sock"), section).unwrap();
-    assert!(live.address().ip().is_loopback());
+    assert!(live.address.ip().is_loopback());
     live
 }
 
@@ -136,7 +136,7 @@ fn a_viewer_of_the_old_protocol_alone_is_turned_away() {
     let folder = tempfile::tempdir().unwrap();
     let live = live(&folder);
     let answer = |protocols: &str| {
-        let mut viewer = TcpStream::connect(live.address()).unwrap();
+        let mut viewer = TcpStream::connect(live.address).unwrap();
         viewer
             .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
@@ -160,7 +160,7 @@ fn a_viewer_of_the_old_protocol_alone_is_turned_away() {
 fn a_viewer_gets_the_messages_of_the_record_byte_for_byte() {
     const TOPICS: [&str; 2] = ["/singletrack/tick", "/singletrack/log"];
     let (daemon, live, _folder) = start();
-    let address = live.address();
+    let address = live.address;
     let mut viewer = Viewer::connect(address);
     viewer.subscribe(&TOPICS);
     let seen: Vec<_> = (0..30).map(|_| viewer.message()).collect();
@@ -199,7 +199,7 @@ fn a_viewer_gets_the_messages_of_the_record_byte_for_byte() {
 #[test]
 fn a_viewer_can_only_subscribe() {
     let (daemon, live, _folder) = start();
-    let address = live.address();
+    let address = live.address;
     let mut viewer = Viewer::connect(address);
     assert_eq!(viewer.info["capabilities"], json!([]));
     viewer.send(&json!({"op": "advertise", "channels": [
@@ -219,7 +219,7 @@ fn a_viewer_can_only_subscribe() {
 #[test]
 fn viewers_that_never_read_delay_no_other() {
     let (daemon, live, _folder) = start();
-    let address = live.address();
+    let address = live.address;
     let _idle: Vec<_> = (0..7)
         .map(|_| {
             let mut viewer = Viewer::connect_slowly(address);
@@ -272,14 +272,14 @@ fn the_other_loopback_is_served_too() {
         port: 0,
     };
     let live = Live::start("/nowhere.sock".into(), section).unwrap();
-    Viewer::connect(live.address());
+    Viewer::connect(live.address);
 }
 
 #[test]
 fn a_daemon_that_restarts_is_found_again_and_its_end_is_shown() {
     let folder = tempfile::tempdir().unwrap();
     let live = live(&folder);
-    let mut viewer = Viewer::connect(live.address());
+    let mut viewer = Viewer::connect(live.address);
     viewer.subscribe(&["/singletrack/tick"]);
     let mut last = 0;
     for _ in 0..2 {
@@ -299,7 +299,7 @@ fn a_daemon_that_restarts_is_found_again_and_its_end_is_shown() {
 #[test]
 fn a_viewer_that_sends_without_end_is_disconnected() {
     let (_daemon, live, _folder) = start();
-    let mut viewer = Viewer::connect(live.address());
+    let mut viewer = Viewer::connect(live.address);
     // A message that is never whole, of 2^40 bytes.
     let mut head = vec![0x82, 0xff];
     head.extend((1_u64 << 40).to_be_bytes());

@@ -38,7 +38,7 @@ fn section() -> PageSection {
 /// A page for the daemon of this folder.
 fn page(folder: &TempDir) -> (Page, SocketAddr) {
     let page = Page::start(folder.path().join("control.sock"), Vec::new(), &section()).unwrap();
-    let address = page.address();
+    let address = page.address;
     assert!(address.ip().is_loopback());
     (page, address)
 }
@@ -238,7 +238,7 @@ fn other_cars_are_shown_beside_as_long_as_their_daemons_answer() {
     let others = [(other, Some("teal".to_owned())), (nobody, None)];
     let others = others.map(|(socket, colour)| OtherCar { socket, colour });
     let page = Page::start(socket, others.into(), &section()).unwrap();
-    let mut viewer = Viewer::connect(page.address());
+    let mut viewer = Viewer::connect(page.address);
     let mut shown = |is_wanted: fn(&Value) -> bool| loop {
         let others = viewer.event("state")["others"].take();
         assert_eq!(others[1], Value::Null);
@@ -392,7 +392,7 @@ fn what_is_secret_takes_the_token_of_the_file() {
         ..section()
     };
     let page = Page::start(folder.path().join("control.sock"), Vec::new(), &section).unwrap();
-    let address = page.address();
+    let address = page.address;
     let mode = fs::metadata(&file).unwrap().permissions().mode();
     assert_eq!(mode & 0o777, 0o640);
     let key: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();

@@ -42,7 +42,8 @@ pub struct FleetDrive {
     fleet: Fleet,
     cars: Vec<Held>,
     together: bool,
-    start: Instant,
+    /// When all references begin.
+    pub start: Instant,
     disarmed: Option<Instant>,
 }
 
@@ -128,14 +129,7 @@ impl FleetDrive {
         })
     }
 
-    /// When all references begin.
-    #[must_use]
-    pub const fn start(&self) -> Instant {
-        self.start
-    }
-
     /// Whether the drives of all cars have ended.
-    #[must_use]
     pub fn is_over(&self) -> bool {
         self.cars.iter().all(|car| car.ended.is_some())
     }

@@ -77,7 +77,6 @@ pub enum FleetFileError {
 
 impl FleetCar {
     /// The control socket of its daemon.
-    #[must_use]
     pub fn socket(&self) -> PathBuf {
         let default = || PathBuf::from(format!("/run/singletrackd-{}/control.sock", self.name));
         self.socket.clone().unwrap_or_else(default)

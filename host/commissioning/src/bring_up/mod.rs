@@ -33,7 +33,6 @@ use crate::{
 pub const STEPS: &[Step] = &steps_with::<60>();
 
 /// The steps; the ESC is watched at neutral for `NEUTRAL_S` seconds in each order.
-#[must_use]
 pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
     [
         STAND,

@@ -25,7 +25,6 @@ pub const STEPS: [Step; 5] = [
 ];
 
 /// Why the geofence has no room for the drives, with the size that they need; `None` if it has.
-#[must_use]
 pub fn lacks_room(config: &Config) -> Option<String> {
     floor::lacks_room(config)
 }

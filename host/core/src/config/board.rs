@@ -155,7 +155,6 @@ section! {
 impl BoardSection {
     /// As it is sent, but for the longest roll-out, which
     /// [`Config::board_configuration`](super::Config::board_configuration) knows.
-    #[must_use]
     pub fn configuration(&self) -> Configuration {
         let esc = &self.esc;
         Configuration {

@@ -110,7 +110,6 @@ section! {
 
 impl LimitsSection {
     /// For the controller of a car with this wheelbase, in m.
-    #[must_use]
     pub fn limits(&self, wheelbase: f64) -> Limits {
         self.apply_to(Limits {
             wheelbase,
@@ -151,7 +150,6 @@ const MOST_AT_CENTRE_RAD: f64 = 0.02;
 
 impl ActuatorsSection {
     /// In s.
-    #[must_use]
     pub fn model(&self) -> ActuatorModel {
         ActuatorModel {
             steering_dead_time: 1e-3 * self.steering_dead_time_ms,
@@ -312,7 +310,6 @@ impl OnlineCalibrationSection {
     }
 
     /// Whether anything is estimated.
-    #[must_use]
     pub fn is_enabled(self) -> bool {
         self.mode != OnlineCalibrationMode::Off
     }

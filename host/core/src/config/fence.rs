@@ -39,7 +39,6 @@ fn square(width_m: f64) -> Vec<[f64; 2]> {
 
 impl FenceSection {
     /// A square of this width, in m, around the origin, for a car with this deceleration.
-    #[must_use]
     pub fn square(width_m: f64, braking_m_s2: f64) -> Self {
         Self {
             corners_m: square(width_m),
@@ -48,7 +47,6 @@ impl FenceSection {
     }
 
     /// The distance kept from the sides, for this car, in m.
-    #[must_use]
     pub fn margin_m(&self, vehicle: &VehicleParameters) -> f64 {
         let half = 0.5 * vehicle.body_length_m();
         self.margin_m.unwrap_or((half * 1_000.0).round() / 1_000.0)
@@ -217,7 +215,6 @@ impl Config {
     }
 
     /// Time after which the wheels are where they were sent, ms.
-    #[must_use]
     pub fn steering_settles_ms(&self) -> f64 {
         let actuators = &self.actuators;
         actuators.steering_dead_time_ms + SETTLED * actuators.steering_lag_ms + LINE_MS

@@ -207,7 +207,6 @@ impl Config {
     /// The highest `limits.max_speed_m_s` that the configured braking allows, in m/s, rounded down
     /// to cm/s: without a pose, the host holds, stops (`control.stop_deceleration_m_s2`) and disarms
     /// the car within the longest `board.max_pose_age_ms`, a second.
-    #[must_use]
     pub fn fastest_stopped_m_s(&self) -> f64 {
         cross_checks::fastest_stopped(self)
     }
@@ -322,7 +321,6 @@ impl Config {
     }
 
     /// What the board is given.
-    #[must_use]
     pub fn board_configuration(&self) -> Configuration {
         // A deceleration that was measured with the brake is less at neutral.
         const UNBRAKED: f64 = 2.0;
@@ -337,7 +335,6 @@ impl Config {
 
     /// The configuration of the session with the board. The seed should differ from one start
     /// to the next.
-    #[must_use]
     pub fn link(&self, nonce_seed: u64) -> SessionConfig {
         SessionConfig {
             configuration: self.board_configuration(),

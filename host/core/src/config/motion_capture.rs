@@ -183,7 +183,6 @@ impl MotionCaptureSection {
     }
 
     /// Port of the server.
-    #[must_use]
     pub fn port(&self) -> u16 {
         self.command_port
             .unwrap_or_else(|| self.protocol().default_port())

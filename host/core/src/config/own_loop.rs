@@ -44,7 +44,6 @@ pub struct OwnLoopKind {
 
 impl OwnLoopKind {
     /// The kind of this loop.
-    #[must_use]
     pub const fn of<L: OwnLoop>() -> Self {
         Self {
             name: L::NAME,
@@ -75,7 +74,6 @@ pub fn link_own_loops(kinds: impl Into<Vec<OwnLoopKind>>) {
 }
 
 /// The loops of other crates that this process has linked.
-#[must_use]
 pub fn own_loops() -> &'static [OwnLoopKind] {
     LINKED.get().map_or(&[], Vec::as_slice)
 }
@@ -94,7 +92,6 @@ pub struct OwnLoopSection {
 impl OwnLoopSection {
     /// The loop of this name in this program, with these settings. Without a version it is the
     /// program's.
-    #[must_use]
     pub fn new(name: String, version: Option<String>, own: Option<Table>) -> Self {
         let known = || own_loops().iter().find(|kind| kind.name == name);
         let version = version.or_else(|| Some(known()?.version.to_owned()));

@@ -273,7 +273,6 @@ impl ReferenceSection {
     }
 
     /// The file that the reference names.
-    #[must_use]
     pub fn file(&self) -> Option<&Path> {
         match self {
             Self::Waypoints { file }
@@ -286,7 +285,6 @@ impl ReferenceSection {
     }
 
     /// Where a drive begins on the reference.
-    #[must_use]
     pub const fn start(&self) -> Start {
         match self {
             Self::Circle { start, .. }

@@ -27,7 +27,6 @@ section! {
 
 impl ControlSection {
     /// The period, in ns.
-    #[must_use]
     pub fn period_ns(&self) -> u64 {
         u64::from(self.period_ms) * 1_000_000
     }
@@ -92,7 +91,6 @@ section! {
 
 impl SupervisorSection {
     /// For the controller.
-    #[must_use]
     pub fn config(&self) -> SupervisorConfig {
         self.apply_to(SupervisorConfig::paper())
     }
@@ -148,7 +146,6 @@ section! {
 
 impl WatchSection {
     /// Whether the car can move like this: see [`WatchConfig::is_possible`].
-    #[must_use]
     pub fn is_possible(&self, sample: &InertialSample) -> bool {
         self.apply_to(WatchConfig::paper()).is_possible(sample)
     }

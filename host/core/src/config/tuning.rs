@@ -133,7 +133,6 @@ fn within([least, most]: [f64; 2], value: f64) -> bool {
 
 impl Config {
     /// This configuration with another p (m) and other gains (1/s), where it has such.
-    #[must_use]
     pub fn with_tuning(&self, gain: Option<Velocity>, point_distance: f64) -> Self {
         let mut config = self.clone();
         config.law.point_distance_m = point_distance;
@@ -234,7 +233,6 @@ pub enum TuningError {
 
 impl Config {
     /// The rule for requests to tune.
-    #[must_use]
     pub const fn tuning_rule(&self) -> TuningRule {
         TuningRule {
             bounds: self.tuning.bounds(),
@@ -288,7 +286,6 @@ impl TuningRule {
     }
 
     /// Whether `tuned` differs from the configuration.
-    #[must_use]
     pub fn differs(&self, tuned: &Tuned) -> bool {
         tuned.gain != self.gain
             || tuned.point_distance != self.point_distance

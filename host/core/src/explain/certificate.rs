@@ -108,7 +108,6 @@ pub fn certificate(config: &Config) -> Result<String, ConfigError> {
 
 /// Why the car may not be armed by the file of `safety_filter.certificate`; `None` if it may, or needs
 /// none. The file is not trusted: it has to be what [`certificate`] gives.
-#[must_use]
 pub fn refusal(config: &Config) -> Option<String> {
     let path = config.safety_filter.certificate.as_deref()?;
     let own = match proved(config) {

@@ -219,7 +219,6 @@ impl Commissioned {
 
     /// The first procedure that has to be done before this car may be armed, at a time in
     /// seconds since 1970; `None` if all have passed.
-    #[must_use]
     pub fn missing(&self, subject: Subject, now_s: u64) -> Option<NotCommissioned> {
         Procedure::ALL.into_iter().find_map(|procedure| {
             Some(NotCommissioned {
@@ -233,7 +232,6 @@ impl Commissioned {
     /// The first procedure that has to be done before this one may begin, or go on after an
     /// interruption, on this car, at a time in seconds since 1970. What it has changed itself does not
     /// count against the earlier ones.
-    #[must_use]
     pub fn missing_before(
         &self,
         procedure: Procedure,

@@ -41,7 +41,6 @@ impl Default for Diagnosis {
 
 impl Diagnosis {
     /// Whether something is wrong.
-    #[must_use]
     pub fn is_trouble(&self) -> bool {
         !matches!(self.word, "good" | "starting")
     }

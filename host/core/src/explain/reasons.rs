@@ -96,7 +96,6 @@ pub struct Why {
 impl Why {
     /// Of a car that stands, why it can't be armed now, and not why the last drive ended; `None` if
     /// there is no reason.
-    #[must_use]
     pub fn of(status: &Status) -> Option<Self> {
         let stands = matches!(status.mode(), "idle" | "ready");
         let preflight = status.preflight().filter(|_| stands);
@@ -112,7 +111,6 @@ impl Why {
 
     /// Of this word; `who` decides, as in [`Explanation::who`]. A word of another release is its own
     /// explanation.
-    #[must_use]
     pub fn of_word(who: &str, word: &str) -> Self {
         match Entry::find(who, word) {
             Some(entry) => Self {
@@ -127,7 +125,6 @@ impl Why {
     }
 
     /// Of this word of the host, with what the status says of board and cameras.
-    #[must_use]
     pub fn explain(word: &str, status: &Status) -> Self {
         let Self {
             mut text,

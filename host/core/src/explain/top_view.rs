@@ -19,7 +19,6 @@ const POINTS: u32 = 400;
 const LONGEST_S: f64 = 60.0;
 
 /// The car's body and axles, in m.
-#[must_use]
 pub fn car(config: &Config) -> Value {
     let (vehicle, law) = (&config.vehicle, &config.law);
     json!({
@@ -34,7 +33,6 @@ pub fn car(config: &Config) -> Value {
 }
 
 /// What does not change while the car drives. `number` is that of the configuration.
-#[must_use]
 pub fn setup(number: u32, config: &Config) -> Value {
     let (points_m, is_closed) = reference_path(config);
     json!({

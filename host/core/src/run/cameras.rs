@@ -118,7 +118,6 @@ impl CameraReceiver {
     /// A receiver at the beginning of a session. Observations go to the control loop and,
     /// in `reports`, to the record. `stamp_offset_ns` replaces that of the session; it may
     /// change at any time.
-    #[must_use]
     pub fn new(
         session: PlanarSession,
         stamp_offset_ns: Arc<AtomicI64>,
@@ -160,19 +159,16 @@ impl CameraReceiver {
     }
 
     /// The counters of the session.
-    #[must_use]
     pub fn counters(&self) -> PlanarCounters {
         self.session.counters()
     }
 
     /// Observations passed to the control loop.
-    #[must_use]
     pub const fn passed(&self) -> u64 {
         self.passed
     }
 
     /// Observations lost because the control loop's ring was full.
-    #[must_use]
     pub const fn dropped(&self) -> u64 {
         self.dropped
     }

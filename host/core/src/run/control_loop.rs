@@ -111,7 +111,6 @@ impl<L: Line> ControlLoop<L> {
     /// ready. With a period in `aligned_ns`, in ns, it aligns the ticks with the camera frames,
     /// see [`slide_ns`](Self::slide_ns), and begins each when its frame arrives, see
     /// [`due_ns`](Self::due_ns).
-    #[must_use]
     pub fn new(
         controller: Controller,
         rings: Rings<L>,
@@ -151,20 +150,17 @@ impl<L: Line> ControlLoop<L> {
     }
 
     /// The controller.
-    #[must_use]
     pub const fn controller(&self) -> &Controller {
         &self.controller
     }
 
     /// By how much to delay the next tick beyond a period after the last one, in ns;
     /// negative to advance it.
-    #[must_use]
     pub const fn slide_ns(&self) -> i64 {
         self.slide_ns
     }
 
     /// The counters so far.
-    #[must_use]
     pub fn counters(&self) -> LineCounters {
         LineCounters {
             link: self.controller.session().counters(),
@@ -173,7 +169,6 @@ impl<L: Line> ControlLoop<L> {
     }
 
     /// Whether the loop has finished or aborted as requested, and may end.
-    #[must_use]
     pub fn is_done(&self) -> bool {
         self.ending == Ending::Done
     }
@@ -181,7 +176,6 @@ impl<L: Line> ControlLoop<L> {
     /// When the next tick may begin at the earliest, ns: a window before its deadline if the ticks
     /// are aligned with the cameras, and the deadline itself otherwise. Not much sooner than a
     /// period after a tick that was late.
-    #[must_use]
     pub fn opens_ns(&self, grid: &Grid) -> u64 {
         let deadline_ns = grid.next_ns();
         let Some(alignment) = &self.alignment else {

@@ -82,7 +82,6 @@ const LINE_HEALTH_TICKS: u32 = 10;
 impl Controller {
     /// A controller with a closed port, for a configuration with this hash
     /// ([`configuration_hash`](crate::configuration_hash)).
-    #[must_use]
     pub fn new(
         session: Session,
         steering: SteeringMap,
@@ -107,13 +106,11 @@ impl Controller {
     }
 
     /// The session with the board.
-    #[must_use]
     pub const fn session(&self) -> &Session {
         &self.session
     }
 
     /// The pilot.
-    #[must_use]
     pub const fn pilot(&self) -> &Pilot {
         &self.pilot
     }
@@ -124,7 +121,6 @@ impl Controller {
     }
 
     /// The configuration in force on this car; `None` before the board has given its number.
-    #[must_use]
     pub fn proof(&self) -> Option<Proof> {
         self.car_id.map(|car_id| Proof {
             configuration: self.configuration,
@@ -508,7 +504,6 @@ const NO_TILT: Tilt = Tilt {
 
 /// Roll and pitch of a quaternion (w, x, y, z) in units of 2^-14, from car to world. None if it is
 /// no rotation: its length is not 1.
-#[must_use]
 pub fn imu_tilt(quaternion: [i16; 4]) -> Option<Tilt> {
     let [w, x, y, z] = quaternion.map(|part| f64::from(part) / 16_384.0);
     let squared = w * w + x * x + y * y + z * z;
@@ -538,7 +533,6 @@ fn rate(session: &Session) -> f64 {
 }
 
 /// What the pilot is told of a frame of the cameras.
-#[must_use]
 pub const fn pose_event(state: &PoseState) -> Event {
     match state {
         PoseState::Valid(pose) => Event::Pose(PoseSample {

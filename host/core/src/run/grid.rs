@@ -24,7 +24,6 @@ pub struct Grid {
 
 impl Grid {
     /// A grid with its first deadline a period after `now_ns`.
-    #[must_use]
     pub const fn new(now_ns: u64, period_ns: u64) -> Self {
         Self {
             next_ns: now_ns.saturating_add(period_ns),
@@ -34,7 +33,6 @@ impl Grid {
     }
 
     /// The next deadline.
-    #[must_use]
     pub const fn next_ns(&self) -> u64 {
         self.next_ns
     }

@@ -222,7 +222,6 @@ impl<L: Line> VirtualHost<L> {
     }
 
     /// The parts, read-only.
-    #[must_use]
     pub const fn parts(&self) -> &Host<L> {
         &self.host
     }
@@ -233,33 +232,28 @@ impl<L: Line> VirtualHost<L> {
     }
 
     /// The controller.
-    #[must_use]
     pub const fn controller(&self) -> &Controller {
         self.host.control.controller()
     }
 
     /// The pilot's mode after the last tick.
-    #[must_use]
     pub const fn mode(&self) -> Mode {
         self.controller().pilot().mode()
     }
 
     /// When the next tick is due. A frame that [`poll_cameras`](Self::poll_cameras) receives
     /// may make it sooner.
-    #[must_use]
     pub const fn next_tick_ns(&self) -> u64 {
         self.due_ns
     }
 
     /// Whether the serial reader has nothing to do before bytes arrive: its port is open, and
     /// does not hang up by itself.
-    #[must_use]
     pub const fn awaits_bytes(&self) -> bool {
         self.serial_wait.readable
     }
 
     /// When the camera receiver is to be polled at the latest, even if no datagram arrives.
-    #[must_use]
     pub const fn cameras_due_ns(&self) -> u64 {
         self.cameras_due_ns
     }

@@ -73,7 +73,6 @@ pub enum PortRead {
 }
 
 /// The number of the command to drive or to jog that a frame holds, if it holds one.
-#[must_use]
 pub fn drive_number(frame: &[u8]) -> Option<Sequence> {
     let mut decoder = Decoder::new();
     frame.iter().find_map(|&byte| {

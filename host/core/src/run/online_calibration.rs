@@ -67,14 +67,12 @@ impl Learner {
 
 impl OnlineCalibration {
     /// For this configuration; none if it is off.
-    #[must_use]
     pub fn new(config: &Config) -> Option<Self> {
         let is_enabled = config.online_calibration.is_enabled();
         is_enabled.then(|| Self::of(config))
     }
 
     /// For this configuration, also if it is off.
-    #[must_use]
     pub fn of(config: &Config) -> Self {
         Self {
             calibration: Box::new(Calibration::new(CalibrationConfig {
@@ -133,26 +131,22 @@ impl OnlineCalibration {
     }
 
     /// By how much the steering has changed while the car drove, rad; `None` if it has not.
-    #[must_use]
     pub fn steering_change(&self) -> Option<f64> {
         self.calibration.steering_change()
     }
 
     /// The estimates, in the order of their numbers.
-    #[must_use]
     pub fn estimates(&self) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
         self.calibration.estimates()
     }
 
     /// The least standard deviations of the estimates, see [`Calibration::bounds`].
-    #[must_use]
     pub fn bounds(&self, free: &Self) -> [Option<f64>; CalibrationParameter::ALL.len()] {
         self.calibration.bounds(&free.calibration)
     }
 }
 
 /// What is wrong with the calibration, and what to write.
-#[must_use]
 pub fn advice(config: &Config, estimates: &[CalibrationEstimate]) -> singletrack_api::Calibration {
     let off = estimates.iter().filter(|estimate| estimate.is_off());
     singletrack_api::Calibration {
@@ -171,7 +165,6 @@ fn describe(estimate: &CalibrationEstimate) -> String {
 
 /// Such as "-4.1 +- 0.2 %": the true value less the configured one; "not observable" if the drive
 /// does not show it.
-#[must_use]
 pub fn deviation(estimate: &CalibrationEstimate) -> String {
     if !estimate.observable {
         return "not observable".to_owned();
@@ -182,7 +175,6 @@ pub fn deviation(estimate: &CalibrationEstimate) -> String {
 }
 
 /// Name and unit of a parameter for a person, the unit for one of its own, and digits.
-#[must_use]
 pub const fn units(parameter: CalibrationParameter) -> (&'static str, &'static str, f64, usize) {
     use CalibrationParameter as Parameter;
     match parameter {
@@ -199,7 +191,6 @@ pub const fn units(parameter: CalibrationParameter) -> (&'static str, &'static s
 
 /// What has to be written for the estimates that are off. The scale of the gyro has no key, and a
 /// steering table is measured by `singletrack calibrate`.
-#[must_use]
 pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Correction> {
     let off = |parameter| {
         estimates

@@ -43,7 +43,6 @@ pub struct Proofs(heapless::Vec<Proof, MAX_PROOFS>);
 
 impl Proofs {
     /// The last [`MAX_PROOFS`] of these.
-    #[must_use]
     pub fn of(proofs: &[Proof]) -> Self {
         let mut known = Self::default();
         for &proof in proofs {
@@ -53,7 +52,6 @@ impl Proofs {
     }
 
     /// Whether it is proved.
-    #[must_use]
     pub fn contains(&self, proof: Proof) -> bool {
         self.0.contains(&proof)
     }

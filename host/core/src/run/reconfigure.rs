@@ -77,7 +77,6 @@ pub struct Configurations {
 impl Configurations {
     /// `config` is in force, with the number 1; `returned` is the ring on which boxes
     /// are returned. The camera receiver reads `stamp_offset_ns`.
-    #[must_use]
     pub const fn new(
         config: Config,
         returned: Consumer<Box<Reconfiguration>>,
@@ -93,13 +92,11 @@ impl Configurations {
     }
 
     /// The configuration in force.
-    #[must_use]
     pub const fn in_force(&self) -> &Config {
         &self.in_force
     }
 
     /// Its number.
-    #[must_use]
     pub const fn number(&self) -> u32 {
         self.number
     }
@@ -128,7 +125,6 @@ impl Configurations {
     }
 
     /// Whether a change is under way: another can't begin before [`settle`](Self::settle).
-    #[must_use]
     pub const fn is_changing(&self) -> bool {
         self.under_way.is_some()
     }

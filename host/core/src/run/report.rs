@@ -12,7 +12,6 @@ use crate::run::proof::Proof;
 
 /// The pilot's event for one of the link; none for what does not concern it. The motor's speed is
 /// by the board's clock.
-#[must_use]
 pub fn pilot_event(event: &LinkEvent) -> Option<Event> {
     Some(match event {
         LinkEvent::Telemetry(record) => Event::Board(board_sample(record)),
@@ -139,7 +138,6 @@ pub struct LineCounters {
 
 impl Report {
     /// The entry for the record; `None` for a report that is only logged or counted.
-    #[must_use]
     pub const fn entry(self) -> Option<Entry> {
         match self {
             Self::Telemetry(record) => Some(Entry::Telemetry(record)),
@@ -170,7 +168,6 @@ impl Report {
 }
 
 /// The state of the session without its details, as the record has it.
-#[must_use]
 pub const fn link_phase(state: &State) -> LinkPhase {
     match state {
         State::Disconnected => LinkPhase::Disconnected,

@@ -113,7 +113,6 @@ impl ControlRequest {
 
 impl Requests {
     /// Wraps the sending end of the ring that the control loop reads.
-    #[must_use]
     pub fn new(ring: Producer<ControlRequest>) -> Self {
         Self(Arc::new(Mutex::new(Sender {
             slots: ring.slots(),

@@ -56,7 +56,6 @@ pub struct Chunk {
 
 impl Chunk {
     /// The first [`CHUNK`] bytes of `bytes`, read at `time_ns`.
-    #[must_use]
     pub fn new(time_ns: u64, bytes: &[u8]) -> Self {
         let mut chunk = Self {
             time_ns,
@@ -71,7 +70,6 @@ impl Chunk {
     }
 
     /// The bytes.
-    #[must_use]
     pub fn bytes(&self) -> &[u8] {
         self.bytes.get(..self.length).unwrap_or(&[])
     }
@@ -128,7 +126,6 @@ pub struct SerialReader<L> {
 impl<L: Line> SerialReader<L> {
     /// A reader whose port is closed. `returned` is the ring on which the control loop
     /// returns write halves.
-    #[must_use]
     pub fn new(events: Producer<SerialEvent<L>>, returned: Consumer<L>) -> Self {
         Self {
             events,
@@ -140,7 +137,6 @@ impl<L: Line> SerialReader<L> {
     }
 
     /// The counters so far.
-    #[must_use]
     pub const fn counters(&self) -> ReaderCounters {
         self.counters
     }

@@ -67,7 +67,6 @@ impl SetpointCommand {
     }
 
     /// When it was decided, and its number.
-    #[must_use]
     pub const fn stamp(&self) -> SetpointStamp {
         match self {
             Self::Setpoint(setpoint) => setpoint.stamp,
@@ -77,7 +76,6 @@ impl SetpointCommand {
 }
 
 /// The word for an error of a set-point's values.
-#[must_use]
 pub const fn code(error: SetpointError) -> Code {
     match error {
         SetpointError::NotFinite => Code::NotFinite,

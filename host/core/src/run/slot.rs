@@ -17,7 +17,6 @@ pub struct SlotSender<T>(Arc<Mutex<Option<T>>>);
 pub struct SlotReceiver<T>(Arc<Mutex<Option<T>>>);
 
 /// Makes an empty slot.
-#[must_use]
 pub fn slot<T>() -> (SlotSender<T>, SlotReceiver<T>) {
     let shared = Arc::new(Mutex::new(None));
     (SlotSender(Arc::clone(&shared)), SlotReceiver(shared))
@@ -88,7 +87,6 @@ enum Sent {
 }
 
 /// Makes an empty slot.
-#[must_use]
 pub fn setpoint_slot() -> (SetpointSender, SetpointReceiver) {
     let (sender, slot) = slot();
     let receiver = SetpointReceiver {

@@ -24,7 +24,6 @@ impl States {
     }
 
     /// The state of a tick.
-    #[must_use]
     pub fn state<const EVENTS: usize>(&self, tick: &TickRecord<EVENTS>) -> State {
         let output = &tick.output;
         let estimate = output.estimate.as_ref();

@@ -233,7 +233,7 @@ impl SimulatedDrive {
     }
 
     pub(crate) fn board_mode(&self) -> Option<BoardMode> {
-        let code = self.world.board().code()?;
+        let code = self.world.board.code()?;
         Some(code.mode())
     }
 

@@ -21,7 +21,6 @@ pub struct Compensation {
 
 impl Compensation {
     /// Compensates nothing.
-    #[must_use]
     pub const fn off(vehicle: VehicleParameters) -> Self {
         Self {
             clock: false,

@@ -64,7 +64,6 @@ pub struct PilotConfig {
 impl PilotConfig {
     /// The governor of the reference, at its start; none where that is off, and for a reference
     /// of which P does not have a position at every time.
-    #[must_use]
     pub fn governor(&self) -> Option<Governor> {
         let governor = self.governor.as_ref()?;
         let is_path = self.reference.at(0.0).position.is_some();
@@ -151,7 +150,6 @@ pub struct Output {
 
 impl Output {
     /// The output of a pilot that has no estimate and commands nothing.
-    #[must_use]
     pub fn neutral(mode: Mode) -> Self {
         Self {
             mode,

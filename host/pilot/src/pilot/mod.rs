@@ -93,7 +93,6 @@ enum Begins {
 
 impl Pilot {
     /// A pilot before its first event: disconnected, without an estimate.
-    #[must_use]
     pub fn new(config: PilotConfig) -> Self {
         Self {
             law: LimitedLaw::new(config.law, config.limits),
@@ -163,7 +162,6 @@ impl Pilot {
     /// `speed` (m/s of the host's clock) in the time of a board whose second lasts `rate` of the
     /// host's, for the command; within the limits of the speed. As it is if that is not
     /// compensated, and in the first metre of an unproved configuration.
-    #[must_use]
     pub fn speed_for_board(&self, speed: f64, rate: f64) -> f64 {
         if !self.config.compensation.clock || self.watches.proving.is_some() {
             return speed;
@@ -173,7 +171,6 @@ impl Pilot {
     }
 
     /// `speed` (m/s) as such a board measures it, in the time of the host's clock.
-    #[must_use]
     pub fn speed_of_board(&self, speed: f64, rate: f64) -> f64 {
         if self.config.compensation.clock {
             speed / rate
@@ -183,19 +180,16 @@ impl Pilot {
     }
 
     /// The mode after the last tick.
-    #[must_use]
     pub const fn mode(&self) -> Mode {
         self.supervisor.mode()
     }
 
     /// The corrections in force; `None` if it does not learn.
-    #[must_use]
     pub fn learned(&self) -> Option<Learned> {
         Some(self.learning?.in_force)
     }
 
     /// Why the car does not drive, or stopped.
-    #[must_use]
     pub const fn reason(&self) -> Option<Reason> {
         self.supervisor.reason()
     }

@@ -170,7 +170,6 @@ impl Pilot {
     }
 
     /// The values in force; none where nothing can be tuned.
-    #[must_use]
     pub fn tuned(&self) -> Option<Tuned> {
         self.config.tuning.as_ref()?;
         Some(Tuned {
@@ -407,7 +406,6 @@ impl Pilot {
     }
 
     /// The estimator.
-    #[must_use]
     pub const fn estimator(&self) -> &Estimator {
         &self.estimator
     }

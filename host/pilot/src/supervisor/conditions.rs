@@ -37,7 +37,6 @@ words! {
 
 impl Mode {
     /// Whether a drive is underway: the car may move, and no configuration is replaced.
-    #[must_use]
     pub const fn is_underway(self) -> bool {
         matches!(
             self,
@@ -46,7 +45,6 @@ impl Mode {
     }
 
     /// Whether the pilot sends commands to the board.
-    #[must_use]
     pub const fn commands(self) -> bool {
         matches!(
             self,
@@ -103,7 +101,6 @@ pub struct SupervisorConfig {
 
 impl SupervisorConfig {
     /// For the paper's car.
-    #[must_use]
     pub const fn paper() -> Self {
         Self {
             hold: 0.3,

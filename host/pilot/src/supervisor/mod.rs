@@ -116,7 +116,6 @@ struct Heard {
 
 impl Supervisor {
     /// A supervisor in [`Mode::Disconnected`], before any event.
-    #[must_use]
     pub fn new(config: SupervisorConfig) -> Self {
         Self {
             config,
@@ -137,20 +136,17 @@ impl Supervisor {
     }
 
     /// The mode after the last step.
-    #[must_use]
     pub const fn mode(&self) -> Mode {
         self.mode
     }
 
     /// Why the car does not drive; after a drive, why it stopped.
-    #[must_use]
     pub const fn reason(&self) -> Option<Reason> {
         self.reason
     }
 
     /// Why an arm request would be refused now; `None` if it would not, or while a drive is
     /// underway.
-    #[must_use]
     pub const fn preflight(&self) -> Option<Reason> {
         self.preflight
     }
@@ -161,13 +157,11 @@ impl Supervisor {
     }
 
     /// Whether a contradiction waits for its acknowledgement.
-    #[must_use]
     pub const fn is_contradicted(&self) -> bool {
         self.unacknowledged.is_some()
     }
 
     /// The tick at which the mode began.
-    #[must_use]
     pub const fn since(&self) -> Time {
         self.since
     }

@@ -78,7 +78,6 @@ pub struct WatchConfig {
 impl WatchConfig {
     /// Whether a car can turn and accelerate like this. A sample that is not possible is an error of
     /// the sensor or of its bus, which has no checksum: nothing may be computed from it.
-    #[must_use]
     pub fn is_possible(&self, sample: &InertialSample) -> bool {
         let acceleration = hypot(sample.forward_acceleration, sample.left_acceleration);
         // NaN is not possible either: the comparison is false.
@@ -86,7 +85,6 @@ impl WatchConfig {
     }
 
     /// For the paper's car.
-    #[must_use]
     pub const fn paper() -> Self {
         Self {
             max_yaw_rate: 10.0,

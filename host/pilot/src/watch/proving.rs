@@ -76,7 +76,6 @@ const COAST_SHARE: f64 = 0.8;
 impl FirstMetre {
     /// What is added to the steering after a way (m), in rad: a straight reference shows no sign of the
     /// servo.
-    #[must_use]
     pub fn wave(way: f64) -> f64 {
         WAVE * sin(TAU * way / WAVE_LENGTH)
     }

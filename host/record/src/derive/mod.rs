@@ -39,7 +39,6 @@ pub struct Encoder {
 
 impl Encoder {
     /// An encoder for a record that begins at `start`.
-    #[must_use]
     pub fn new(start: ClockMapping) -> Self {
         Self {
             start,

@@ -30,7 +30,6 @@ pub struct FeedOutput {
 }
 
 /// A ring for `capacity` entries of about 5 kB each. Each producing thread needs its own.
-#[must_use]
 pub fn feed(capacity: usize) -> (FeedInput, FeedOutput) {
     let (producer, consumer) = rtrb::RingBuffer::new(capacity);
     let dropped = Arc::new(AtomicU64::new(0));
@@ -98,7 +97,6 @@ impl RecorderThread {
 
     /// Whether the thread still writes. It stops early when the file can't be written:
     /// [`RecorderThread::finish`] then gives the error.
-    #[must_use]
     pub fn is_writing(&self) -> bool {
         !self.thread.is_finished()
     }

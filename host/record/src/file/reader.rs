@@ -46,7 +46,8 @@ pub struct Reader {
     linear: LinearReader,
     chunk: Chunk,
     catalogue: Catalogue,
-    meta: Meta,
+    /// The metadata of the record.
+    pub meta: Meta,
     /// Whether the data section has ended and only the summary follows.
     data_ended: bool,
     /// The message that [`Reader::advance`] went to.
@@ -58,7 +59,8 @@ pub struct Reader {
     entries: u64,
     topics: Option<Vec<Topic>>,
     follow: bool,
-    ending: Option<Ending>,
+    /// How the record ended; none before the end, and after an error.
+    pub ending: Option<Ending>,
     failed: bool,
 }
 
@@ -185,30 +187,16 @@ impl Reader {
         self
     }
 
-    /// The metadata of the record.
-    #[must_use]
-    pub const fn meta(&self) -> &Meta {
-        &self.meta
-    }
-
     /// The wall time of the first and the last message of a finished record, in ns since 1970,
     /// without reading up to there; none of an unfinished one, and of one without messages.
-    #[must_use]
     pub fn span_wall_ns(&self) -> Option<[u64; 2]> {
         span_wall_ns(&self.path)
     }
 
     /// The number of messages of a topic in a finished record, without reading it; none of an
     /// unfinished one.
-    #[must_use]
     pub fn message_count(&self, topic: Topic) -> Option<u64> {
         message_count(&self.path, topic)
-    }
-
-    /// How the record ended; none before the end, and after an error.
-    #[must_use]
-    pub const fn ending(&self) -> Option<Ending> {
-        self.ending
     }
 
     /// Passes the entries to `take`, up to the end or to damage after the first entry.

@@ -115,9 +115,8 @@ impl Recorder {
     }
 
     /// Where the finished record will be.
-    #[must_use]
     pub fn path(&self) -> &Path {
-        self.container.path()
+        &self.container.path
     }
 
     /// Adds an entry, and flushes if the last flush is half a second old.
@@ -130,7 +129,7 @@ impl Recorder {
             .encoder
             .encode(entry)
             .map_err(|source| RecordError::Encode {
-                path: self.container.part().to_owned(),
+                path: self.container.part.to_owned(),
                 source,
             })?;
         for publication in publications {
@@ -193,7 +192,7 @@ impl Recorder {
     ///
     /// When that fails. The unfinished file is then kept.
     pub fn finish(self) -> Result<Finished, RecordError> {
-        let path = self.container.path().to_owned();
+        let path = self.container.path.to_owned();
         let bytes = self.container.finish()?;
         Ok(Finished {
             path,
@@ -220,7 +219,6 @@ pub(crate) const LIBRARY_NAME: &str = "singletrack";
 pub(crate) const LIBRARY: &str = concat!("singletrack ", env!("CARGO_PKG_VERSION"));
 
 /// The name of the file at `path` until it is finished.
-#[must_use]
 pub fn part_path(path: &Path) -> PathBuf {
     with_suffix(path, ".part")
 }
@@ -234,8 +232,10 @@ pub(crate) fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
 
 /// A file that is being written, or its bytes in memory.
 pub(crate) struct Container {
-    path: PathBuf,
-    part: PathBuf,
+    /// Where the finished file will be.
+    pub(crate) path: PathBuf,
+    /// The unfinished file.
+    pub(crate) part: PathBuf,
     writer: Writer<Output>,
     /// Another handle of the same file, to sync it; none in memory.
     file: Option<File>,
@@ -325,16 +325,6 @@ impl Container {
             writer,
             file,
         })
-    }
-
-    /// Where the finished file will be.
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// The unfinished file.
-    pub(crate) fn part(&self) -> &Path {
-        &self.part
     }
 
     /// Calls `write` with the writer of the file.

@@ -51,7 +51,6 @@ macro_rules! declare {
             pub const ALL: [Self; [$($name),*].len()] = [$(Self::$topic,)*];
 
             /// Its name, on the command line and in JSON.
-            #[must_use]
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$topic => $name,)*
@@ -59,25 +58,15 @@ macro_rules! declare {
             }
 
             /// Its channel in the file, named as ROS names topics.
-            #[must_use]
             pub const fn channel(self) -> &'static str {
                 match self {
                     $(Self::$topic => concat!("/singletrack/", $name),)*
-                }
-            }
-
-            /// The field with the time of [`Entry::time_ns`].
-            #[must_use]
-            pub const fn time_field(self) -> &'static str {
-                match self {
-                    $(Self::$topic => stringify!($time),)*
                 }
             }
         }
 
         impl Entry {
             /// Its topic.
-            #[must_use]
             pub const fn topic(&self) -> Topic {
                 match self {
                     $(Self::$topic(_) => Topic::$topic,)*
@@ -85,7 +74,6 @@ macro_rules! declare {
             }
 
             /// When it reached the host, in nanoseconds of the monotonic clock.
-            #[must_use]
             pub const fn time_ns(&self) -> u64 {
                 match self {
                     $(Self::$topic(entry) => entry.$time,)*
@@ -147,33 +135,28 @@ macro_rules! with_entry {
 
 impl Topic {
     /// Its index among all topics.
-    #[must_use]
     pub const fn index(self) -> usize {
         self as usize
     }
 
     /// The time of [`Entry::time_ns`] in one of its messages; none if it is no message of this topic.
-    #[must_use]
     pub fn time_ns(self, message: &[u8]) -> Option<u64> {
         let entry = Entry::decode(self, message).ok()?;
         Some(entry.time_ns())
     }
 
     /// The name of its message, such as `singletrack_msgs/msg/Tick`.
-    #[must_use]
     pub fn schema_name(self) -> String {
         with_message!(self, M => schema_name::<M>())
     }
 
     /// The definition of its message and of those within, as `ros2msg`.
-    #[must_use]
     pub fn schema_text(self) -> String {
         with_message!(self, M => schema_text::<M>())
     }
 
     /// The paths of its fields, such as `estimate.yaw_rad`, in the order of
     /// [`Entry::values`].
-    #[must_use]
     pub fn fields(self) -> Vec<String> {
         let mut paths = Paths::default();
         with_message!(self, M => M::absent().visit(&mut paths));
@@ -252,7 +235,6 @@ impl FromStr for Topic {
 
 impl Entry {
     /// When the described event happened, in nanoseconds of the monotonic clock.
-    #[must_use]
     pub const fn sample_time_ns(&self) -> u64 {
         match self {
             Self::Tick(tick) => tick.scheduled_ns,
@@ -268,7 +250,6 @@ impl Entry {
     }
 
     /// Its fields, in the order of [`Topic::fields`]. The value of a list is its length.
-    #[must_use]
     pub fn values(&self) -> Vec<Value> {
         let mut values = Vec::new();
         with_entry!(self, message => message.visit(&mut Values::new(&mut values)));
@@ -344,7 +325,6 @@ impl Channel {
     }
 
     /// Its index among all channels, less than [`Channel::COUNT`].
-    #[must_use]
     pub const fn index(self) -> usize {
         match self {
             Self::Entry(topic) => topic.index(),
@@ -353,7 +333,6 @@ impl Channel {
     }
 
     /// Its name, such as `/singletrack/tick` or `/odom`.
-    #[must_use]
     pub const fn topic(self) -> &'static str {
         match self {
             Self::Entry(topic) => topic.channel(),
@@ -362,7 +341,6 @@ impl Channel {
     }
 
     /// The name of its messages' type, such as `nav_msgs/msg/Odometry`.
-    #[must_use]
     pub fn schema_name(self) -> String {
         match self {
             Self::Entry(topic) => topic.schema_name(),
@@ -371,7 +349,6 @@ impl Channel {
     }
 
     /// The definition of its messages' type, with all messages within it.
-    #[must_use]
     pub fn schema_text(self) -> String {
         match self {
             Self::Entry(topic) => topic.schema_text(),

@@ -99,7 +99,6 @@ pub struct Span {
 
 impl Span {
     /// Duration, in s.
-    #[must_use]
     pub fn seconds(&self) -> f64 {
         self.end_s - self.start_s
     }
@@ -274,7 +273,6 @@ impl DriveData {
 
     /// The stretches at this speed (m/s) or faster, without gaps in poses and inertial
     /// samples.
-    #[must_use]
     pub fn stretches(&self, least_speed: f64) -> Vec<Span> {
         let first_target = self.servo.first().map_or(f64::INFINITY, |s| s.time_s);
         let mut spans: Vec<Span> = Vec::new();
@@ -463,7 +461,6 @@ impl DriveData {
     }
 
     /// The largest speed of the drive from the cameras, in m/s.
-    #[must_use]
     pub fn fastest(&self) -> f64 {
         (0..self.poses.len())
             .filter_map(|index| self.speed_at(index))

@@ -53,7 +53,6 @@ pub struct TrackPoint {
 
 impl TrackPoint {
     /// Speed of G, in m/s.
-    #[must_use]
     pub const fn speed_m_s(&self) -> f64 {
         self.estimate.motion.speed
     }

@@ -55,13 +55,11 @@ pub struct Identification {
 
 impl Identification {
     /// The vehicle with the estimates.
-    #[must_use]
     pub const fn vehicle(&self) -> VehicleParameters {
         self.values.vehicle()
     }
 
     /// Another car with the steering of this one, to be [validated](validate) beside it.
-    #[must_use]
     pub fn with_vehicle(&self, vehicle: &VehicleParameters) -> Self {
         let steering = [
             Parameter::ServoLag,
@@ -81,14 +79,12 @@ impl Identification {
     }
 
     /// The estimate of a parameter; none if it was not estimated.
-    #[must_use]
     pub fn estimate(&self, parameter: Parameter) -> Option<&Estimate> {
         let mut all = self.estimates.iter();
         all.find(|estimate| estimate.parameter == parameter)
     }
 
     /// Duration of the stretches that were used, in s.
-    #[must_use]
     pub fn seconds(&self) -> f64 {
         self.stretches.iter().map(Span::seconds).sum()
     }

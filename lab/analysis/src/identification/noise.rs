@@ -42,7 +42,6 @@ const LEAST: NoiseLevels = NoiseLevels {
 impl NoiseLevels {
     /// Start values of their estimation: a good motion capture system, and a consumer IMU on
     /// a vibrating car.
-    #[must_use]
     pub const fn usual() -> Self {
         Self {
             position_m: 3e-4,
@@ -73,7 +72,6 @@ impl NoiseLevels {
 
     /// Nearly exact sensors and model, as the base of other levels. The filter needs every
     /// level to be above zero.
-    #[must_use]
     pub const fn exact() -> Self {
         Self {
             position_m: 1e-6,

@@ -78,7 +78,6 @@ impl Parameter {
     pub const OF_A_DRIVE: [Self; 3] = [Self::InertialDelay, Self::LateralBias, Self::SteeringTrim];
 
     /// The unit; empty for a ratio.
-    #[must_use]
     pub const fn unit(self) -> &'static str {
         TABLE[self.index()].0
     }
@@ -179,7 +178,6 @@ pub struct Values {
 impl Values {
     /// The values of `vehicle`, a servo with a lag of 50 ms and a delay of 5 ms, and no other
     /// errors.
-    #[must_use]
     pub const fn of(vehicle: &VehicleParameters) -> Self {
         let mut values = [0.0; COUNT];
         values[Parameter::FrontStiffness.index()] = vehicle.front_cornering_stiffness_n_rad;
@@ -198,7 +196,6 @@ impl Values {
     }
 
     /// The value of a parameter, in its unit.
-    #[must_use]
     pub const fn get(&self, parameter: Parameter) -> f64 {
         self.values[parameter.index()]
     }
@@ -229,7 +226,6 @@ impl Values {
     }
 
     /// The vehicle with these values.
-    #[must_use]
     pub const fn vehicle(&self) -> VehicleParameters {
         let moved = self
             .vehicle

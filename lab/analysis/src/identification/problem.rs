@@ -140,7 +140,6 @@ impl Settings {
     }
 
     /// These parameters and [`Parameter::NUISANCE`], which must be estimated jointly.
-    #[must_use]
     pub fn of(parameters: &[Parameter]) -> Self {
         let mut all = Vec::new();
         for parameter in parameters.iter().chain(&Parameter::NUISANCE) {

@@ -22,7 +22,6 @@ words! {
 
 impl Output {
     /// The measured and the simulated value.
-    #[must_use]
     pub const fn of(self, point: &SimulationPoint) -> [f64; 2] {
         match self {
             Self::YawRate => [point.measured_yaw_rate_rad_s, point.yaw_rate_rad_s],
@@ -65,7 +64,6 @@ impl Score {
     }
 
     /// The score of a part of a simulation.
-    #[must_use]
     pub fn within(simulation: &[SimulationPoint], span: Span) -> Self {
         let outputs = Output::ALL.map(|output| {
             let points = simulation.iter();

@@ -29,7 +29,6 @@ pub struct Attraction {
 
 impl Attraction {
     /// The largest yaw error within, in rad, all other states being zero.
-    #[must_use]
     pub fn yaw(&self) -> f64 {
         (self.level / self.form[(0, 0)]).sqrt()
     }

@@ -54,7 +54,6 @@ impl ClosedLoop {
     }
 
     /// Whether the straight motion is regained from a yaw error, in rad, with the servo of [`basin`](Self::basin).
-    #[must_use]
     pub fn regains(&self, servo: Option<Servo>, yaw: f64) -> bool {
         let outcome = match (self.law, servo) {
             (Law::VelocityPoint, _) => outcome(&VelocityPointField(self), yaw),

@@ -42,7 +42,6 @@ pub enum CharacteristicPolynomial {
 
 impl CharacteristicPolynomial {
     /// The coefficients from a₀ on.
-    #[must_use]
     pub const fn coefficients(&self) -> &[f64] {
         match self {
             Self::Quartic(a) => a,
@@ -51,7 +50,6 @@ impl CharacteristicPolynomial {
     }
 
     /// Whether all roots have negative real parts (Liénard and Chipart).
-    #[must_use]
     pub fn is_stable(&self) -> bool {
         self.coefficients().iter().all(|a| *a > 0.0) && self.hurwitz_determinant() > 0.0
     }
@@ -86,7 +84,6 @@ impl CharacteristicPolynomial {
 
     /// The last but one of Hurwitz' determinants: zero where two roots are opposite, as those
     /// of an imaginary pair are.
-    #[must_use]
     pub fn hurwitz_determinant(&self) -> f64 {
         match *self {
             Self::Quartic([a0, a1, a2, a3]) => a1 * (a3 * a2 - a1) - a3 * a3 * a0,
@@ -96,7 +93,6 @@ impl CharacteristicPolynomial {
 
     /// Where Hurwitz' determinant is zero, the squared frequency of the pair of imaginary roots;
     /// negative if the opposite roots are real.
-    #[must_use]
     pub fn squared_frequency(&self) -> f64 {
         match *self {
             Self::Quartic([_, a1, _, a3]) => a1 / a3,
@@ -133,7 +129,6 @@ impl Affine {
 
 impl ClosedLoop {
     /// The characteristic polynomial of the steady motion.
-    #[must_use]
     pub fn characteristic_polynomial(&self) -> CharacteristicPolynomial {
         match self.law {
             Law::FrontPoint => {
@@ -156,7 +151,6 @@ impl ClosedLoop {
     }
 
     /// Whether the steady motion is asymptotically stable, by Hurwitz' criterion.
-    #[must_use]
     pub fn is_stable(&self) -> bool {
         self.characteristic_polynomial().is_stable()
     }

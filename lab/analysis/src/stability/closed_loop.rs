@@ -176,7 +176,6 @@ impl ClosedLoop {
     }
 
     /// The car.
-    #[must_use]
     pub const fn vehicle(&self) -> VehicleParameters {
         self.vehicle
     }
@@ -237,7 +236,6 @@ impl ClosedLoop {
 
     /// The range of physically meaningful deviations, from `-l_f` to `l_r`: the assumed
     /// centre of mass is between the axles.
-    #[must_use]
     pub const fn meaningful_deviations(vehicle: &VehicleParameters) -> [f64; 2] {
         [-vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m]
     }

@@ -40,7 +40,6 @@ pub struct LimitCycle {
 
 impl LimitCycle {
     /// Whether small disturbances of the cycle decay.
-    #[must_use]
     pub fn is_stable(&self) -> bool {
         self.multiplier < 1.0
     }
@@ -88,7 +87,6 @@ impl ClosedLoop {
     /// (dl in m, ascending) that it reaches, as often as it does.
     ///
     /// The branch is followed as far as a wheelbase beyond the deviations and the Hopf point.
-    #[must_use]
     pub fn limit_cycles(&self, hopf: &HopfPoint, deviations: &[f64]) -> CycleBranch {
         match self.law {
             Law::FrontPoint => follow(&FrontPointField(self), hopf, deviations),

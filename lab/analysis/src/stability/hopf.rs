@@ -44,7 +44,6 @@ words! {
 
 impl HopfPoint {
     /// The criticality by the sign of the first Lyapunov coefficient.
-    #[must_use]
     pub fn criticality(&self) -> Criticality {
         if self.lyapunov.kuznetsov > 0.0 {
             Criticality::Subcritical
@@ -56,7 +55,6 @@ impl HopfPoint {
     }
 
     /// Whether the motion is stable on one side of the point.
-    #[must_use]
     pub fn ends_stability(&self) -> bool {
         self.largest_other_real_part < 0.0
     }

@@ -115,7 +115,6 @@ impl ClosedLoop {
     /// The Jacobian of the steady motion, by exact derivatives, in rad and s: four by four for
     /// the states yaw, yaw rate, sideslip and steering, or three by three without steering
     /// under the velocity-point law.
-    #[must_use]
     pub fn jacobian(&self) -> DMatrix<f64> {
         match self.law {
             Law::FrontPoint => jacobian(&FrontPointField(self)),
@@ -129,7 +128,6 @@ impl ClosedLoop {
     /// By ascending real part; of a complex pair the one with the negative imaginary part is
     /// first. They are those of the Jacobian by the QR algorithm, polished on the characteristic
     /// polynomial, which has no roundings of large entries; not numbers if that does not converge.
-    #[must_use]
     pub fn eigenvalues(&self) -> Eigenvalues {
         let polynomial = self.characteristic_polynomial();
         let schur = Schur::try_new(self.jacobian(), f64::EPSILON, MOST_STEPS);

@@ -122,7 +122,6 @@ impl ClosedLoop {
     /// An actuator `exp(-s τ)/(1 + s T)` differs from one by at most `ω (τ + T)`, so that `τ + T` may be less than
     /// the least `|q(iω)| / |ω n(iω)|`, with the characteristic polynomial `q`, and `n` what the law
     /// contributes to it.
-    #[must_use]
     pub fn actuation_bound(&self) -> Option<f64> {
         let CharacteristicPolynomial::Quartic([a0, a1, a2, a3]) = self.characteristic_polynomial()
         else {

@@ -117,7 +117,6 @@ impl Circle {
     }
 
     /// The fastest steady circle, at the fold.
-    #[must_use]
     pub(crate) fn fold(&self) -> SteadyCircle {
         // A coarse maximum, and a golden section around it.
         let at = |step: usize| MOST_SLIP * step as f64 / STEPS as f64;
@@ -140,7 +139,6 @@ impl Circle {
 
     /// The steady circle with P at `point_speed` (m/s), of the two the one with the smaller
     /// slip angles. None beyond the fold.
-    #[must_use]
     pub(crate) fn at_speed(&self, point_speed: f64) -> Option<SteadyCircle> {
         let fold = self.fold();
         if !(point_speed > 0.0 && point_speed < fold.point_speed) {
@@ -221,7 +219,6 @@ impl Circle {
 impl SteadyCircle {
     /// The eigenvalues of yaw, yaw rate, sideslip and steering on this circle, in 1/s, by
     /// ascending real part.
-    #[must_use]
     pub(crate) fn eigenvalues(&self) -> [Complex<f64>; 4] {
         let columns = [0, 1, 2, 3].map(|column: usize| {
             let mut state = self.state().map(Dual64::from);
@@ -235,7 +232,6 @@ impl SteadyCircle {
     }
 
     /// By how much the steady motion fails its own equations: the largest slope, in rad and s.
-    #[must_use]
     pub(crate) fn residual(&self) -> f64 {
         self.slope(self.state())
             .into_iter()

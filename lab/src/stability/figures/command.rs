@@ -10,12 +10,15 @@ use clap::{Args, ValueEnum};
 use singletrack_figures::figure::Figure;
 
 use super::{Scene, around_meaningful, drawn_deviations, eigenvalue, eigenvalues, region, sampled};
-use crate::stability::{
-    Grid, SampledRow, StabilityCommandError, Subject,
-    arguments::{LoopArgs, PointArgs, TimingArgs},
-    eigenvalue_map, hopf_curve,
-    limits::shown_map,
-    region as stable_region,
+use crate::{
+    Result,
+    stability::{
+        Grid, SampledRow, Subject,
+        arguments::{LoopArgs, PointArgs, TimingArgs},
+        eigenvalue_map, hopf_curve,
+        limits::shown_map,
+        region as stable_region,
+    },
 };
 
 #[derive(Clone, Debug, Args)]
@@ -68,7 +71,7 @@ const MOST_SAMPLED_SPEEDS: usize = 120;
 const SAMPLED_DEVIATIONS: usize = 91;
 
 /// Draws the figures and names the files.
-pub(in crate::stability) fn run(args: &FiguresArgs) -> Result<(), StabilityCommandError> {
+pub(in crate::stability) fn run(args: &FiguresArgs) -> Result {
     let subject = args.subject.subject()?;
     fs::create_dir_all(&args.out).map_err(|error| cannot_write(&args.out, &error))?;
     for (name, figure) in figures(&subject, args)? {
@@ -84,10 +87,7 @@ fn cannot_write(path: &Path, error: &io::Error) -> io::Error {
 }
 
 /// The figures that are asked for, with their names.
-fn figures(
-    subject: &Subject,
-    args: &FiguresArgs,
-) -> Result<Vec<(String, Figure)>, StabilityCommandError> {
+fn figures(subject: &Subject, args: &FiguresArgs) -> Result<Vec<(String, Figure)>> {
     let speeds = &args.points.speeds;
     let deviations = args
         .points
@@ -123,10 +123,7 @@ fn figures(
 }
 
 /// The sampled loop over the speeds, or as many as there is time for, and dl.
-fn sampled_rows(
-    subject: &Subject,
-    args: &FiguresArgs,
-) -> Result<Vec<SampledRow>, StabilityCommandError> {
+fn sampled_rows(subject: &Subject, args: &FiguresArgs) -> Result<Vec<SampledRow>> {
     let speeds = match args.points.speeds.values() {
         all @ [first, .., last] if all.len() > MOST_SAMPLED_SPEEDS => {
             Grid::spanning([*first, *last], MOST_SAMPLED_SPEEDS)

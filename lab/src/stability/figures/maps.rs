@@ -230,7 +230,6 @@ fn straight(cycles: &[LimitCycle], hopf: &[HopfPoint]) -> Vec<Curve> {
 
 /// The amplitudes of cycles over dl, in the order of their branch, and the straight motion, whose Hopf
 /// points are known.
-#[must_use]
 pub fn cycles(cycles: &[LimitCycle], hopf: &[HopfPoint], speed: f64) -> Figure {
     let curves = cycles.chunk_by(|one, other| one.is_stable() == other.is_stable());
     let curves = curves.map(|part| {

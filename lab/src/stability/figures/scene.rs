@@ -80,7 +80,6 @@ impl Scene {
 
 /// The deviations that a figure of stability shows: the physically meaningful ones
 /// with a margin, and for the front-point law as far down as its bifurcations lie.
-#[must_use]
 pub fn drawn_deviations(subject: &Subject, count: usize) -> Deviations {
     let usual = subject.usual_deviations();
     let lowest = usual.values().first().copied().unwrap_or(f64::INFINITY);
@@ -90,7 +89,6 @@ pub fn drawn_deviations(subject: &Subject, count: usize) -> Deviations {
 
 /// The physically meaningful deviations with a margin: what a figure of the sampled
 /// loop shows.
-#[must_use]
 pub fn around_meaningful(subject: &Subject, count: usize) -> Deviations {
     Deviations::spanning(ends_around_meaningful(subject), count)
 }

@@ -47,7 +47,6 @@ pub enum Part {
 
 impl Part {
     /// Its name in the table.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Board => "board",
@@ -74,7 +73,6 @@ pub struct Bug {
 
 impl Bug {
     /// The bug, for a drive by this schedule.
-    #[must_use]
     pub fn plant(&self, schedule: &Schedule) -> Box<dyn Tamper> {
         (self.make)(schedule)
     }
@@ -113,13 +111,12 @@ impl Experiment for PlantedCampaign {
     const NAME: &'static str = "faults-planted";
     /// The names of the bugs that were found.
     type Result = Vec<String>;
-    type Error = SetupError;
 
     fn units(&self) -> u64 {
         self.count
     }
 
-    fn run(&self, unit: u64) -> Result<Vec<String>, SetupError> {
+    fn run(&self, unit: u64) -> singletrack_campaign::Result<Vec<String>> {
         let seed = self.first_seed.wrapping_add(unit);
         let schedule = Schedule::generate(seed, BoardKind::Native);
         let mut found = Vec::new();
@@ -133,7 +130,6 @@ impl Experiment for PlantedCampaign {
 }
 
 /// In how many of these schedules each bug was found.
-#[must_use]
 pub fn count(results: &[(u64, Vec<String>)]) -> Vec<(&'static Bug, usize)> {
     let found = |bug: &Bug| {
         let schedules = results.iter();

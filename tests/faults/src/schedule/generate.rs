@@ -55,7 +55,6 @@ impl Default for Situation {
 
 impl Schedule {
     /// The schedule of a seed.
-    #[must_use]
     pub fn generate(seed: u64, board: BoardKind) -> Self {
         let random = &mut Random::new(seed, Stream::Schedule);
         let mut situation = situation(random, board);
@@ -112,7 +111,6 @@ impl Schedule {
 impl Schedule {
     /// Hours of a calibrated car that is armed again and again, with every fault that ends by
     /// itself: four a minute, most of them short.
-    #[must_use]
     pub fn soak(seed: u64, board: BoardKind, end_ms: u32) -> Self {
         let random = &mut Random::new(seed, Stream::Schedule);
         let situation = Situation {

@@ -30,7 +30,6 @@ macro_rules! kinds {
             pub const ALL: &[Self] = &[$(Self::$kind,)*];
 
             /// The name in a schedule.
-            #[must_use]
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$kind => $name,)*
@@ -38,7 +37,6 @@ macro_rules! kinds {
             }
 
             /// The part that it affects.
-            #[must_use]
             pub const fn target(self) -> FaultTarget {
                 match self {
                     $(Self::$kind => FaultTarget::$target,)*
@@ -214,7 +212,6 @@ kinds! {
 
 impl FaultKind {
     /// Whether the cameras report a false pose of the car.
-    #[must_use]
     pub const fn falsifies_pose(self) -> bool {
         matches!(
             self,
@@ -230,7 +227,6 @@ impl FaultKind {
     }
 
     /// Whether somebody else sends frames of the car.
-    #[must_use]
     pub const fn forges_frames(self) -> bool {
         matches!(self, Self::CameraSpoofed | Self::CameraForged)
     }
@@ -252,7 +248,6 @@ impl FaultKind {
 
     /// Whether the program that sends set-points is hostile. It is in schedules with such a
     /// program only.
-    #[must_use]
     pub const fn is_hostile(self) -> bool {
         matches!(
             self,
@@ -267,7 +262,6 @@ impl FaultKind {
 
     /// Whether an outer loop, a program that sends velocities of P, is hostile. It is in
     /// schedules with such a loop only.
-    #[must_use]
     pub const fn is_hostile_loop(self) -> bool {
         matches!(
             self,
@@ -276,7 +270,6 @@ impl FaultKind {
     }
 
     /// Whether [`Schedule::generate`](super::Schedule::generate) draws it from a stream of its own.
-    #[must_use]
     pub const fn is_drawn_apart(self) -> bool {
         matches!(
             self,
@@ -290,7 +283,6 @@ impl FaultKind {
     }
 
     /// Whether the program sends no set-points, or others than it should.
-    #[must_use]
     pub const fn changes_setpoints(self) -> bool {
         matches!(self, Self::SetpointsGone | Self::SetpointsNotANumber)
             || self.is_hostile()
@@ -298,7 +290,6 @@ impl FaultKind {
     }
 
     /// Whether the host's threads run later or not at all.
-    #[must_use]
     pub const fn delays_host(self) -> bool {
         matches!(
             self,
@@ -307,19 +298,16 @@ impl FaultKind {
     }
 
     /// Whether it happens once in a drive: only the first one counts.
-    #[must_use]
     pub const fn happens_once(self) -> bool {
         matches!(self.target(), FaultTarget::Car)
     }
 
     /// Whether it lasts until the end of the drive, whatever its duration.
-    #[must_use]
     pub const fn is_lasting(self) -> bool {
         matches!(self, Self::ServoStuck | Self::EscStuck | Self::WheelSlip)
     }
 
     /// Whether the fault is instantaneous.
-    #[must_use]
     pub const fn is_momentary(self) -> bool {
         matches!(
             self,

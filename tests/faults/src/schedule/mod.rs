@@ -158,7 +158,6 @@ pub struct Fault {
 
 impl Schedule {
     /// Whether the car is calibrated well enough that it must drive.
-    #[must_use]
     pub fn is_tolerable(&self) -> bool {
         let braking = i64::from(self.situation.braking_mm_s2);
         self.truth.is_tolerable()
@@ -172,7 +171,6 @@ impl Fault {
     pub const WORST: u32 = 1_000;
 
     /// End of the fault.
-    #[must_use]
     pub const fn end_ms(&self) -> u32 {
         self.at_ms.saturating_add(self.for_ms)
     }
@@ -191,7 +189,6 @@ macro_rules! deviations {
             pub const ALL: &[Self] = &[$(Self::$kind,)*];
 
             /// The name in a schedule.
-            #[must_use]
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$kind => $name,)*
@@ -199,7 +196,6 @@ macro_rules! deviations {
             }
 
             /// The values that a calibrated car may have, and must be able to drive with.
-            #[must_use]
             pub const fn tolerable(self) -> RangeInclusive<i32> {
                 match self {
                     $(Self::$kind => $tolerable,)*
@@ -207,7 +203,6 @@ macro_rules! deviations {
             }
 
             /// The values that a schedule may state.
-            #[must_use]
             pub const fn possible(self) -> RangeInclusive<i32> {
                 match self {
                     $(Self::$kind => $possible,)*
@@ -304,7 +299,6 @@ deviations! {
 
 impl Deviation {
     /// The property with this name.
-    #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|kind| kind.name() == name)
     }
@@ -325,13 +319,11 @@ pub struct TrueCar {
 
 impl TrueCar {
     /// The stated value.
-    #[must_use]
     pub fn get(&self, deviation: Deviation) -> Option<i32> {
         self.deviations.get(&deviation).copied()
     }
 
     /// The least deceleration of the car at neutral, rolling downhill, in mm/s².
-    #[must_use]
     pub fn deceleration_mm_s2(&self) -> u32 {
         // A slope of v/100 degrees: 9.81 m/s² over 57.3 degrees.
         let downhill = self.get(Deviation::Slope).unwrap_or(0) * 171 / 100;
@@ -340,7 +332,6 @@ impl TrueCar {
     }
 
     /// Whether a calibrated car may be so, which must drive.
-    #[must_use]
     pub fn is_tolerable(&self) -> bool {
         let within = |(kind, value): (&Deviation, &i32)| kind.tolerable().contains(value);
         // Its neutral is learned while the board gives neutral.

@@ -102,7 +102,6 @@ impl fmt::Display for Fault {
 
 impl Schedule {
     /// The schedule as one line.
-    #[must_use]
     pub fn in_one_line(&self) -> String {
         self.to_string().trim_end().replace('\n', "; ")
     }

@@ -116,13 +116,11 @@ impl Newcomer {
     }
 
     /// The car.
-    #[must_use]
     pub const fn car(&self) -> &OnboardCar {
         &self.car
     }
 
     /// The configuration file.
-    #[must_use]
     pub fn config(&self) -> PathBuf {
         self.folder.join("singletrackd.toml")
     }
@@ -392,7 +390,6 @@ impl Newcomer {
     }
 
     /// The end of the daemon's log.
-    #[must_use]
     pub fn log(&self) -> String {
         self.daemon.log()
     }

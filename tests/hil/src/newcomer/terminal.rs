@@ -105,13 +105,11 @@ impl Terminal {
     }
 
     /// What has been printed so far.
-    #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 
     /// What of such a text will not be printed over: whole lines, and a question.
-    #[must_use]
     pub fn finished(text: &str) -> &str {
         if text.ends_with(PROMPT) {
             return text;
@@ -121,13 +119,11 @@ impl Terminal {
     }
 
     /// How many bytes have been printed so far.
-    #[must_use]
     pub const fn printed(&self) -> usize {
         self.printed
     }
 
     /// The end of what was printed, for the report of a failure.
-    #[must_use]
     pub fn last(&self) -> String {
         let count = self.text.chars().count();
         self.text
@@ -211,7 +207,6 @@ impl Terminal {
     }
 
     /// The text of the question that waits for an answer.
-    #[must_use]
     pub fn question(&self) -> Option<&str> {
         let new = self.text.get(self.read..)?;
         let (text, _) = new.strip_suffix(PROMPT)?.rsplit_once('\n')?;

@@ -262,7 +262,6 @@ pub struct ModestSession(Option<i32>);
 
 impl ModestSession {
     /// Without permission, or without groups, rigs are late more often, which they report.
-    #[must_use]
     pub fn begin() -> Self {
         let nice = fs::read_to_string(GROUP)
             .ok()

@@ -137,7 +137,7 @@ impl PhysicalRig {
             };
             last = format!("mode {:?}", telemetry.mode);
             let stopped = telemetry.mode == BoardMode::EmergencyStopped;
-            let armed = self.car.with_world(|world| world.car().esc_is_armed())?;
+            let armed = self.car.with_world(|world| world.car.esc_is_armed())?;
             Ok((!stopped && armed && telemetry.motor_speed_mm_s == 0).then_some(()))
         })
         .map_err(|failure| {
@@ -189,7 +189,7 @@ impl Rig for PhysicalRig {
     }
 
     fn cameras(&self) -> SocketAddrV4 {
-        self.car.command_address()
+        self.car.command_address
     }
 
     fn interrupt(&self) -> Outcome {
@@ -211,7 +211,7 @@ impl Rig for PhysicalRig {
     fn set_markers(&self, loss: Option<LossKind>) -> Outcome {
         Ok(self
             .car
-            .with_world(move |world| world.cameras_mut().faults_mut().loss = loss)?)
+            .with_world(move |world| world.cameras.faults.loss = loss)?)
     }
 
     fn truth(&self) -> Outcome<Truth> {
@@ -265,7 +265,6 @@ impl Rig for PhysicalRig {
 }
 
 /// Reason why a physical car lacks something, if it does.
-#[must_use]
 pub(crate) fn lacks(need: Need) -> Option<&'static str> {
     match need {
         Need::Reset => Some("the harness has no reset line to a physical UNO"),
@@ -356,7 +355,7 @@ impl Line {
             |telemetry| {
                 let (servo_us, esc_us) = (telemetry.servo_us, telemetry.esc_us);
                 let truth = car.with_world(move |world| {
-                    world.car_mut().apply_pulses(servo_us, esc_us);
+                    world.car.apply_pulses(servo_us, esc_us);
                     world.truth()
                 });
                 match truth {

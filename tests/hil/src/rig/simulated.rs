@@ -64,7 +64,6 @@ impl SimulatedRig {
 }
 
 /// Reason why a simulated board lacks something, if it does.
-#[must_use]
 pub(crate) fn lacks(board: BoardKind, need: Need) -> Option<&'static str> {
     match (board, need) {
         (BoardKind::Native, Need::Image) => {
@@ -92,11 +91,11 @@ pub(super) fn start(config: RealTimeConfig) -> Outcome<RealTimeSimulator> {
 
 impl Rig for SimulatedRig {
     fn port(&self) -> &Path {
-        self.simulator.pty_path()
+        &self.simulator.pty_path
     }
 
     fn cameras(&self) -> SocketAddrV4 {
-        self.simulator.command_address()
+        self.simulator.command_address
     }
 
     fn interrupt(&self) -> Outcome {
@@ -114,7 +113,7 @@ impl Rig for SimulatedRig {
 
     fn set_line(&self, line: LineFaults) -> Outcome {
         Ok(self.simulator.with_world(move |world| {
-            let faults = world.wire_mut().faults_mut();
+            let faults = &mut world.wire.faults;
             faults.corrupt = line.corrupt;
             faults.stuck = line.stuck;
         })?)
@@ -123,7 +122,7 @@ impl Rig for SimulatedRig {
     fn set_markers(&self, loss: Option<LossKind>) -> Outcome {
         Ok(self
             .simulator
-            .with_world(move |world| world.cameras_mut().faults_mut().loss = loss)?)
+            .with_world(move |world| world.cameras.faults.loss = loss)?)
     }
 
     fn truth(&self) -> Outcome<Truth> {
@@ -133,8 +132,8 @@ impl Rig for SimulatedRig {
     fn trace(&self) -> Outcome<Trace> {
         Ok(Trace(self.simulator.with_world(|world| {
             world
-                .board()
-                .pulses()
+                .board
+                .pulses
                 .iter()
                 .map(|record| Pulses {
                     board_time_us: record.board_time_us,
@@ -149,12 +148,12 @@ impl Rig for SimulatedRig {
     fn board_time_us(&self) -> Outcome<Option<u32>> {
         Ok(self
             .simulator
-            .with_world(|world| world.board().board_time_us(world.now_us()))?)
+            .with_world(|world| world.board.board_time_us(world.now_us))?)
     }
 
     fn stop_cause(&self) -> Outcome<Option<StopCause>> {
         Ok(self.simulator.with_world(|world| {
-            let telemetry = world.board().telemetry();
+            let telemetry = world.board.telemetry();
             telemetry.map(|telemetry| telemetry.stop_cause)
         })?)
     }
@@ -164,8 +163,8 @@ impl Rig for SimulatedRig {
         let start = Instant::now();
         loop {
             let (now, last) = self.simulator.with_world(|world| {
-                let board = world.board();
-                (board.board_time_us(world.now_us()), board.last_command_us())
+                let board = &world.board;
+                (board.board_time_us(world.now_us), board.last_command_us())
             })?;
             let (Some(now), Some(last)) = (now, last) else {
                 return Err(Failure::new("the board has had no command"));
@@ -192,13 +191,13 @@ impl Rig for SimulatedRig {
     fn hang(&self, hang: Hang) -> Outcome {
         Ok(self
             .simulator
-            .with_world(move |world| world.board_mut().hang(hang))?)
+            .with_world(move |world| world.board.hang(hang))?)
     }
 
     fn break_imu_bus(&self, fault: BusFault) -> Outcome {
         Ok(self
             .simulator
-            .with_world(move |world| world.board_mut().set_imu_bus(fault))?)
+            .with_world(move |world| world.board.set_imu_bus(fault))?)
     }
 
     fn reset(&self, cause: ResetCause) -> Outcome {
@@ -209,15 +208,13 @@ impl Rig for SimulatedRig {
 
     fn cut_motor_sensor(&self) -> Outcome {
         Ok(self.simulator.with_world(|world| {
-            world
-                .car_mut()
-                .set_motor_sensor_fault(MotorSensorFault::Gone);
+            world.car.set_motor_sensor_fault(MotorSensorFault::Gone);
         })?)
     }
 
     fn open_stop_switch(&self) -> Outcome {
         Ok(self
             .simulator
-            .with_world(|world| world.board_mut().set_stop_input_open(true))?)
+            .with_world(|world| world.board.set_stop_input_open(true))?)
     }
 }

@@ -170,7 +170,7 @@ fn virtual_time(
         write_configuration(args, &car.config)?;
     }
     let mut fleet = VirtualFleet::new(cars)?;
-    let drives = fleet.cars_mut().iter_mut().zip(cars);
+    let drives = fleet.cars.iter_mut().zip(cars);
     let record = |(drive, car): (_, &FleetCar)| {
         let path = args.out.join(file_of(&car.config, "mcap"));
         VirtualRecord::start(&path, drive, &car.config, car.seed)
@@ -179,7 +179,7 @@ fn virtual_time(
     fleet.start()?;
     let mut summaries = vec![CarSummary::default(); cars.len()];
     let bar = outcome::bar(args.duration);
-    let start_us = fleet.now_us();
+    let start_us = fleet.now_us;
     let duration_s = args.duration.as_secs_f64();
     let mut time_s = 0.0;
     while time_s < duration_s && !interrupt.is_raised() {
@@ -190,24 +190,20 @@ fn virtual_time(
                 summary.note(&tick.tick.output, 0.01);
             }
         });
-        for (record, drive) in records.iter_mut().zip(fleet.cars_mut()) {
+        for (record, drive) in records.iter_mut().zip(&mut fleet.cars) {
             record.write(drive)?;
         }
         show(&bar, time_s, &summaries, fleet.nearest_m());
     }
     bar.finish_and_clear();
-    for drive in fleet
-        .cars()
-        .iter()
-        .filter(|drive| drive.mode().is_underway())
-    {
+    for drive in fleet.cars.iter().filter(|drive| drive.mode().is_underway()) {
         drive.request(PilotRequest::Disarm)?;
     }
     fleet.advance_to(
-        fleet.now_us() + STOP_TIMEOUT.as_micros() as u64,
+        fleet.now_us + STOP_TIMEOUT.as_micros() as u64,
         &mut |_, _| {},
     );
-    for (record, drive) in records.into_iter().zip(fleet.cars_mut()) {
+    for (record, drive) in records.into_iter().zip(&mut fleet.cars) {
         record.finish(drive)?;
     }
     Ok((summaries, fleet.nearest_m()))
@@ -224,7 +220,7 @@ fn real_time(
         floor
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
-            .nearest_m()
+            .nearest_m
     };
     let start = |index| start(args, cars, index, &floor, private.path());
     let fleet: Vec<_> = (0..cars.len())

@@ -38,7 +38,7 @@ pub(super) fn run(
     let front_axle_distance_m = args.car.vehicle()?.front_axle_distance_m;
     let simulator =
         RealTimeSimulator::start(settings::real_time(simulation.clone(), private.path()))?;
-    simulator.with_world(|world| world.cameras_mut().set_loss_epoch(None))?;
+    simulator.with_world(|world| world.cameras.set_loss_epoch(None))?;
     let mut config = settings::daemon(args)?;
     settings::connect(&simulator, &mut config, private.path());
     write(&args.out.join(CONFIGURATION), &config.to_toml()?)?;
@@ -61,7 +61,7 @@ pub(super) fn run(
     stop(&[&daemon])?;
     let summary = daemon.stop()?;
     let mut finished = simulator.stop()?;
-    let board = BoardFigures::of(finished.world.board_mut())?;
+    let board = BoardFigures::of(&mut finished.world.board)?;
     Ok(Drive {
         ended,
         start_ns,
@@ -89,8 +89,8 @@ fn start(
     let snapshot = daemon.snapshot();
     let start_ns =
         drive_start_ns(&snapshot).ok_or_else(|| not_started(&snapshot, READY_TIMEOUT))?;
-    let epoch_us = start_ns.saturating_sub(simulator.started_ns()) / 1000;
-    simulator.with_world(move |world| world.cameras_mut().set_loss_epoch(Some(epoch_us)))?;
+    let epoch_us = start_ns.saturating_sub(simulator.started_ns) / 1000;
+    simulator.with_world(move |world| world.cameras.set_loss_epoch(Some(epoch_us)))?;
     Ok(start_ns)
 }
 

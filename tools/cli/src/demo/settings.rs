@@ -108,9 +108,9 @@ pub(super) fn options(record: PathBuf, seed: u64) -> StartOptions {
 
 /// Gives a daemon the addresses of the simulator, and a private folder.
 pub(super) fn connect(simulator: &RealTimeSimulator, config: &mut Config, private: &Path) {
-    config.serial.port = simulator.pty_path().to_owned();
-    config.motion_capture.command_port = Some(simulator.command_address().port());
-    config.motion_capture.data_port = simulator.data_address().port();
+    config.serial.port = simulator.pty_path.to_owned();
+    config.motion_capture.command_port = Some(simulator.command_address.port());
+    config.motion_capture.data_port = simulator.data_address.port();
     config.state.directory = private.join("state");
     config.socket.path = socket(private);
 }

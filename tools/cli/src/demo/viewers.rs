@@ -34,7 +34,7 @@ impl Viewers {
             };
             let others = others.iter().map(other).collect();
             let page = Page::start(socket.to_owned(), others, &section)?;
-            eprintln!("Watch the drive in a browser: http://{}", page.address());
+            eprintln!("Watch the drive in a browser: http://{}", page.address);
             viewers.0.push(Box::new(page));
         }
         #[cfg(feature = "live")]
@@ -48,7 +48,7 @@ impl Viewers {
             eprintln!(
                 "Live view: ws://{} (open a WebSocket connection in Foxglove, Lichtblick or \
                  PlotJuggler)",
-                live.address()
+                live.address
             );
             viewers.0.push(Box::new(live));
         }

@@ -29,14 +29,11 @@ pub(super) fn run(
     write(&args.out.join(CONFIGURATION), &config.to_toml()?)?;
     write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
     let mut drive = VirtualDrive::new(config.clone(), args.seed, simulation)?;
-    drive.world_mut().cameras_mut().set_loss_epoch(None);
+    drive.world.cameras.set_loss_epoch(None);
     let mut record = VirtualRecord::start(&args.out.join(RECORD), &mut drive, &config, args.seed)?;
     let first = drive.start()?;
     let epoch_us = drive.now_us();
-    drive
-        .world_mut()
-        .cameras_mut()
-        .set_loss_epoch(Some(epoch_us));
+    drive.world.cameras.set_loss_epoch(Some(epoch_us));
 
     let wanted_s = args.duration.as_secs_f64();
     let (mut truth, mut last_s) = (Vec::new(), 0.0);
@@ -80,6 +77,6 @@ pub(super) fn run(
         front_axle_distance_m,
         truth,
         summary: None,
-        board: BoardFigures::of(drive.world_mut().board_mut())?,
+        board: BoardFigures::of(&mut drive.world.board)?,
     })
 }

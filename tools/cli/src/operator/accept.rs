@@ -106,7 +106,7 @@ fn of_daemon(control: &ControlArgs) -> Result<(Calibration, PathBuf), Box<dyn Er
 /// What the drives of a record say of their last configuration.
 fn of_record(path: &Path) -> Result<Calibration, Box<dyn Error>> {
     let mut reader = Reader::open(path)?.only(&[Topic::Configuration, Topic::Tick]);
-    let mut config = Config::from_toml(&reader.meta().configuration)?;
+    let mut config = Config::from_toml(&reader.meta.configuration)?;
     let mut calibration = OnlineCalibration::of(&config);
     for entry in reader.by_ref() {
         match entry? {

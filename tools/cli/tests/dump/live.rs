@@ -74,9 +74,9 @@ fn a_running_daemon_tells_what_its_board_reports() {
         centre_m: [0.0, 0.0],
         start: Start::Beginning,
     }));
-    config.serial.port = simulator.pty_path().to_owned();
-    config.motion_capture.command_port = Some(simulator.command_address().port());
-    config.motion_capture.data_port = simulator.data_address().port();
+    config.serial.port = simulator.pty_path.to_owned();
+    config.motion_capture.command_port = Some(simulator.command_address.port());
+    config.motion_capture.data_port = simulator.data_address.port();
     config.record.enabled = false;
     config.socket.path = folder.path().join("control.sock");
     let socket = config.socket.path.clone();

@@ -114,19 +114,16 @@ impl Grid {
     }
 
     /// Where its columns are.
-    #[must_use]
     pub fn x(&self) -> &[f64] {
         &self.x
     }
 
     /// Where its rows are.
-    #[must_use]
     pub fn y(&self) -> &[f64] {
         &self.y
     }
 
     /// Its values, row by row.
-    #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.values
     }
@@ -139,7 +136,6 @@ impl Grid {
     }
 
     /// The least and the greatest of its finite values.
-    #[must_use]
     pub fn range(&self) -> Option<[f64; 2]> {
         let finite = || {
             self.values
@@ -186,7 +182,6 @@ pub struct Map {
 
 impl Map {
     /// A map without shades and lines.
-    #[must_use]
     pub const fn new(grid: Grid) -> Self {
         Self {
             grid,
@@ -197,7 +192,6 @@ impl Map {
     }
 
     /// Whether there is no number in it.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.grid.values.iter().all(|value| value.is_nan())
     }
@@ -242,7 +236,6 @@ pub struct Isoline {
 
 impl Isoline {
     /// A line labelled by its value, with this number of decimals.
-    #[must_use]
     pub fn new(value: f64, decimals: usize) -> Self {
         let label = super::scale::minus(format!("{value:.decimals$}"));
         Self { value, label }

@@ -50,7 +50,6 @@ words! {
 
 impl Width {
     /// In mm.
-    #[must_use]
     pub const fn mm(self) -> f64 {
         match self {
             Self::Column => 85.0,
@@ -101,7 +100,6 @@ pub struct Panel {
 
 impl Panel {
     /// Two axes with nothing between them.
-    #[must_use]
     pub fn new(x: Axis, y: Axis) -> Self {
         Self {
             x,
@@ -112,7 +110,6 @@ impl Panel {
     }
 
     /// The floor, in m: where a point is that has this subscript.
-    #[must_use]
     pub fn floor(point: &'static str) -> Self {
         let axis = |letter| Axis::new("", Some(Symbol::new(letter, point)), "m");
         Self {
@@ -122,7 +119,6 @@ impl Panel {
     }
 
     /// Whether there is anything to see.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bars.is_empty()
             && self.estimates.is_empty()
@@ -151,7 +147,6 @@ impl Axis {
     pub const TIME: Self = Self::new("time", Some(Symbol::new("t", "")), "s");
 
     /// A linear axis, as long as its data.
-    #[must_use]
     pub const fn new(quantity: &'static str, symbol: Option<Symbol>, unit: &'static str) -> Self {
         Self {
             quantity,
@@ -174,7 +169,6 @@ pub struct Symbol {
 
 impl Symbol {
     /// A letter and what stands below it.
-    #[must_use]
     pub const fn new(letter: &'static str, below: &'static str) -> Self {
         Self { letter, below }
     }
@@ -197,7 +191,6 @@ pub struct Curve {
 
 impl Curve {
     /// A line through points that have no times of their own.
-    #[must_use]
     pub fn new(name: &'static str, look: Look, x: &Column, y: Column) -> Self {
         Self {
             name,
@@ -209,7 +202,6 @@ impl Curve {
     }
 
     /// Whether no point of it can be drawn.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         !self.points().any(|[x, y]| x.is_finite() && y.is_finite())
     }

@@ -122,7 +122,6 @@ fn step(at_least: f64) -> f64 {
 }
 
 /// Digits behind the point up to the first that is not zero: as many as a multiple of `step` needs.
-#[must_use]
 pub fn decimals(step: f64) -> usize {
     let digits = -(step.abs().log10() + 1e-9).floor();
     if digits.is_finite() && digits > 0.0 {
@@ -140,7 +139,6 @@ pub(crate) fn trimmed(value: f64, decimals: usize) -> String {
 }
 
 /// A real minus sign, and no minus zero.
-#[must_use]
 pub fn minus(text: String) -> String {
     match text.strip_prefix('-') {
         Some(digits) if digits.bytes().all(|byte| matches!(byte, b'0' | b'.')) => digits.to_owned(),

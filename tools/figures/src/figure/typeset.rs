@@ -3,7 +3,6 @@
 use super::scale::trimmed;
 
 /// Text that means nothing to XML.
-#[must_use]
 pub fn escaped(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for letter in text.chars() {
@@ -52,7 +51,6 @@ fn parts(text: &str) -> Vec<Part<'_>> {
 }
 
 /// The text where nothing can be set: in a title, or beside a picture.
-#[must_use]
 pub fn plain(text: &str) -> String {
     let parts = parts(text).into_iter().map(|part| match part {
         Part::Plain(text) => text.to_owned(),
@@ -119,7 +117,6 @@ fn plain_width(text: &str) -> f64 {
 }
 
 /// The digits of a power, raised.
-#[must_use]
 pub fn superscript(digits: &str) -> String {
     let raised = |digit: char| "⁰¹²³⁴⁵⁶⁷⁸⁹".chars().nth(digit.to_digit(10)? as usize);
     let digits = digits.chars().map(|digit| match digit {

@@ -130,7 +130,6 @@ impl Recording {
     }
 
     /// The number of the longest drive, from 1; the first of those as long.
-    #[must_use]
     pub fn longest(&self) -> Option<usize> {
         (1..)
             .zip(&self.drives)
@@ -204,7 +203,6 @@ impl Drive {
     }
 
     /// Whether any tick has an estimate; a record of another program's log has none.
-    #[must_use]
     pub fn is_estimated(&self) -> bool {
         self.ticks.iter().any(|tick| tick.place[0].is_finite())
     }
@@ -214,13 +212,11 @@ impl Drive {
     }
 
     /// When its last tick was, in s.
-    #[must_use]
     pub fn duration(&self) -> f64 {
         self.ticks.last().map_or(0.0, |tick| tick.time)
     }
 
     /// Until when the car followed its reference, in s: then it stopped, if at all.
-    #[must_use]
     pub fn followed(&self) -> f64 {
         let driving = self
             .ticks
@@ -231,32 +227,27 @@ impl Drive {
     }
 
     /// A number for each tick, with a gap where ticks are missing.
-    #[must_use]
     pub fn column(&self, value: impl Fn(&TickSample) -> f64) -> Column {
         self.spread(self.ticks.iter().map(value))
     }
 
     /// The same for given numbers, one for each tick.
-    #[must_use]
     pub fn spread(&self, values: impl IntoIterator<Item = f64>) -> Column {
         with_gaps(self.ticks.iter().map(|tick| tick.time), values)
     }
 
     /// A number for each of the board's samples, with a gap where samples are missing.
-    #[must_use]
     pub fn board_column(&self, value: impl Fn(&BoardPoint) -> f64) -> Column {
         let times = self.board.iter().map(|sample| sample.time);
         with_gaps(times, self.board.iter().map(value))
     }
 
     /// A number for each sample of the ground truth; empty without it.
-    #[must_use]
     pub fn truth_column(&self, value: impl Fn(&TruthSample) -> f64) -> Column {
         self.spread_truth(self.truth.iter().flatten().map(value))
     }
 
     /// The same for given numbers, one for each sample of the ground truth.
-    #[must_use]
     pub fn spread_truth(&self, values: impl IntoIterator<Item = f64>) -> Column {
         with_gaps(
             self.truth.iter().flatten().map(|sample| sample.time),
@@ -267,7 +258,6 @@ impl Drive {
     /// Where P should be at each tick, in m: the reference, or for a reference that
     /// is a velocity alone the integral of the velocity that was commanded, from
     /// where P was at first. Not a number once the car no longer follows.
-    #[must_use]
     pub fn nominal(&self) -> Vec<[f64; 2]> {
         if self.has_positions() {
             return self.ticks.iter().map(|tick| tick.reference).collect();
@@ -298,13 +288,11 @@ impl Drive {
     }
 
     /// Whether the reference is a position.
-    #[must_use]
     pub fn has_positions(&self) -> bool {
         self.ticks.iter().any(|tick| tick.reference[0].is_finite())
     }
 
     /// How far P is from where it should be at each tick, in m.
-    #[must_use]
     pub fn tracking_error(&self) -> Vec<f64> {
         let nominal = self.nominal();
         let pairs = self.ticks.iter().zip(nominal);
@@ -315,7 +303,6 @@ impl Drive {
 
     /// How far the true P is from where it should be, at each moment of the truth, in
     /// m; empty without ground truth.
-    #[must_use]
     pub fn true_errors(&self) -> Vec<f64> {
         let nominal = self.nominal();
         let should = |time: f64| {
@@ -338,20 +325,17 @@ impl Drive {
     }
 
     /// Whether the lateness of every tick is zero: time was virtual, or the log does not have it.
-    #[must_use]
     pub fn is_never_late(&self) -> bool {
         self.ticks.iter().all(|tick| tick.lateness == 0.0)
     }
 
     /// The spans in which the markers were lost, in s.
-    #[must_use]
     pub fn lost_markers(&self) -> Vec<[f64; 2]> {
         lost_markers(&self.ticks)
     }
 }
 
 /// From one point to another; not a number if one of them is none.
-#[must_use]
 pub fn distance(one: [f64; 2], other: [f64; 2]) -> f64 {
     let ([x, y], [other_x, other_y]) = (one, other);
     (x - other_x).hypot(y - other_y)

@@ -38,7 +38,7 @@ impl Record {
             Topic::Configuration,
             Topic::Drops,
         ]);
-        let meta = reader.meta().clone();
+        let meta = reader.meta.clone();
         let progress = progress(path);
         let mut recording = Recording::default();
         let mut notes = Vec::new();
@@ -52,7 +52,7 @@ impl Record {
         })?;
         notes.extend(damage.map(|damage| damage.to_string()));
         progress.finish_and_clear();
-        if let Some(ending @ Ending::Unfinished { .. }) = reader.ending() {
+        if let Some(ending @ Ending::Unfinished { .. }) = reader.ending {
             notes.push(ending.to_string());
         }
         if recording.entries_dropped > 0 {
@@ -105,7 +105,6 @@ impl Record {
 impl Record {
     /// The configuration that a drive was driven with, as TOML; none if the record
     /// does not hold it.
-    #[must_use]
     pub fn configuration(&self, drive: &Drive) -> Option<&str> {
         match drive.configuration {
             None => Some(&self.meta.configuration),

@@ -187,7 +187,7 @@ impl Summary {
 impl fmt::Display for Summary {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let duration_s = self.duration_ns as f64 * 1e-9;
-        write!(formatter, "{duration_s:.2} s, {} poses", self.poses.count())?;
+        write!(formatter, "{duration_s:.2} s, {} poses", self.poses.count)?;
         for (count, what) in [
             (self.rejected, "not finite"),
             (self.untracked, "not tracked"),
@@ -196,11 +196,11 @@ impl fmt::Display for Summary {
                 write!(formatter, " and {count} {what}")?;
             }
         }
-        write!(formatter, ", {} board samples of ", self.board.count())?;
+        write!(formatter, ", {} board samples of ", self.board.count)?;
         if let Some(inertial) = &self.inertial {
-            write!(formatter, "{} of the IMU and ", inertial.count())?;
+            write!(formatter, "{} of the IMU and ", inertial.count)?;
         }
-        write!(formatter, "{} of the motor", self.motor.count())?;
+        write!(formatter, "{} of the motor", self.motor.count)?;
         if self.without_motor_speed > 0 {
             let count = self.without_motor_speed;
             write!(

@@ -121,7 +121,7 @@ fn write(
     mut progress: impl FnMut(u64, u64),
 ) -> Result<Summary, ImportError> {
     let mut timeline = Timeline::new(contents);
-    let ticks = timeline.ticks();
+    let ticks = timeline.ticks;
     let failed = |why| ImportError::file(path, format!(": {why}"));
     while let Some(tick) = timeline.next_tick().map_err(failed)? {
         for observation in timeline.arrived() {

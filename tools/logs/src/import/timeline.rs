@@ -16,7 +16,8 @@ use super::{
 pub(super) struct Timeline<'a> {
     log: &'a Log,
     board: BoardSamples,
-    ticks: u64,
+    /// The number of ticks.
+    pub(super) ticks: u64,
     index: u64,
     /// Observations and board samples before these are in ticks that were returned.
     next_observation: usize,
@@ -43,11 +44,6 @@ impl<'a> Timeline<'a> {
             arrived_from: 0,
             last_pose: None,
         }
-    }
-
-    /// The number of ticks.
-    pub(super) const fn ticks(&self) -> u64 {
-        self.ticks
     }
 
     /// The next tick; `None` after the last one. Fails if more events fall in it than it can hold.

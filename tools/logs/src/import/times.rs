@@ -44,7 +44,6 @@ impl Times {
     }
 
     /// The rate of regular exposures that these times may be, if that is worth a key.
-    #[must_use]
     pub fn exposures_hz(&self) -> Option<u32> {
         let rate = self.rate_hz.round();
         let is_whole = (self.rate_hz - rate).abs() < 0.01 * rate;

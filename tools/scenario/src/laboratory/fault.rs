@@ -90,7 +90,7 @@ pub(super) fn set(world: &mut World, name: &str, value: &FaultValue) -> Result<(
                 ("erratic", ImuFault::Erratic),
             ],
         )?),
-        "motor_sensor" => world.car_mut().set_motor_sensor_fault(value.kind(
+        "motor_sensor" => world.car.set_motor_sensor_fault(value.kind(
             name,
             &[
                 ("none", MotorSensorFault::None),
@@ -101,7 +101,7 @@ pub(super) fn set(world: &mut World, name: &str, value: &FaultValue) -> Result<(
             ],
         )?),
         "cameras" => {
-            world.cameras_mut().faults_mut().loss = value.kind(
+            world.cameras.faults.loss = value.kind(
                 name,
                 &[
                     ("none", None),
@@ -111,17 +111,17 @@ pub(super) fn set(world: &mut World, name: &str, value: &FaultValue) -> Result<(
                 ],
             )?;
         }
-        "camera_jump_m" => world.cameras_mut().faults_mut().jump_m = value.lengths(name)?,
-        "line_drop" => world.wire_mut().faults_mut().drop = value.probability(name)?,
-        "line_corrupt" => world.wire_mut().faults_mut().corrupt = value.probability(name)?,
-        "line_delay_us" => world.wire_mut().faults_mut().delay_us = value.microseconds(name)?,
-        "line_stuck" => world.wire_mut().faults_mut().stuck = value.is_on(name)?,
+        "camera_jump_m" => world.cameras.faults.jump_m = value.lengths(name)?,
+        "line_drop" => world.wire.faults.drop = value.probability(name)?,
+        "line_corrupt" => world.wire.faults.corrupt = value.probability(name)?,
+        "line_delay_us" => world.wire.faults.delay_us = value.microseconds(name)?,
+        "line_stuck" => world.wire.faults.stuck = value.is_on(name)?,
         "cable" => world.set_cable(value.is_on(name)?),
         "board_power" => world.set_board_power(value.is_on(name)?),
-        "esc_power" => world.car_mut().set_esc_power(value.is_on(name)?),
-        "battery" => world.car_mut().set_battery_plugged(value.is_on(name)?),
-        "servo_reversed" => world.car_mut().set_servo_reversed(value.is_on(name)?),
-        "stop_switch" => world.board_mut().set_stop_input_open(value.is_on(name)?),
+        "esc_power" => world.car.set_esc_power(value.is_on(name)?),
+        "battery" => world.car.set_battery_plugged(value.is_on(name)?),
+        "servo_reversed" => world.car.set_servo_reversed(value.is_on(name)?),
+        "stop_switch" => world.board.set_stop_input_open(value.is_on(name)?),
         _ => {
             return Err(SetupError::new(format!(
                 "unknown fault {name:?}: use imu, motor_sensor, cameras, camera_jump_m, \

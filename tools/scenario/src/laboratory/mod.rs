@@ -34,13 +34,16 @@ const TICKS_PER_WRITE: u32 = 100;
 
 /// A host, a board, cameras and a car in virtual time.
 pub struct Laboratory {
-    config: Config,
+    /// The configuration in force.
+    pub config: Config,
     seed: u64,
     // Host and world are too large for a thread's stack.
-    drive: Box<VirtualDrive>,
+    /// The host and the world.
+    pub drive: Box<VirtualDrive>,
     last: Option<VirtualTick>,
     states: States,
-    digest: Option<Digest>,
+    /// The digest of the ticks since [`Laboratory::keep_digest`].
+    pub digest: Option<Digest>,
     record: Option<VirtualRecord>,
     unwritten: u32,
 }
@@ -107,12 +110,6 @@ impl Laboratory {
         self.digest = Some(Digest::default());
     }
 
-    /// The digest of the ticks since [`Laboratory::keep_digest`].
-    #[must_use]
-    pub const fn digest(&self) -> Option<Digest> {
-        self.digest
-    }
-
     /// Waits until the car can drive, arms it, and goes on to the first driving tick, which it
     /// returns. An external reference gets standstill as its set-point.
     ///
@@ -146,38 +143,18 @@ impl Laboratory {
     }
 
     /// The last tick; `None` before the first.
-    #[must_use]
     pub const fn last(&self) -> Option<&VirtualTick> {
         self.last.as_ref()
     }
 
     /// What the last tick saw and did; `None` before the first.
-    #[must_use]
     pub fn state(&self) -> Option<State> {
         Some(self.states.state(&self.last.as_ref()?.tick))
     }
 
     /// Time of the last tick; zero before the first.
-    #[must_use]
     pub fn now(&self) -> Time {
         self.last.as_ref().map_or(Time(0), |last| last.now)
-    }
-
-    /// The host and the world.
-    #[must_use]
-    pub const fn drive(&self) -> &VirtualDrive {
-        &self.drive
-    }
-
-    /// The host and the world, for what has no function here.
-    pub const fn drive_mut(&mut self) -> &mut VirtualDrive {
-        &mut self.drive
-    }
-
-    /// The configuration in force.
-    #[must_use]
-    pub const fn config(&self) -> &Config {
-        &self.config
     }
 
     /// Sends the pilot a request by its word, for the next tick: `arm`, `disarm`, `stop`, `halt` or
@@ -212,7 +189,6 @@ impl Laboratory {
     }
 
     /// Whether the reference is that of a controller outside.
-    #[must_use]
     pub const fn is_external(&self) -> bool {
         matches!(self.config.reference, ReferenceSection::External { .. })
     }
@@ -242,13 +218,11 @@ impl Laboratory {
     }
 
     /// The ground truth now.
-    #[must_use]
     pub fn truth(&self) -> Truth {
-        self.drive.world().truth()
+        self.drive.world.truth()
     }
 
     /// Where P truly is now, in m, with the believed distances of the front axle and of P.
-    #[must_use]
     pub fn true_point(&self) -> [f64; 2] {
         let law = &self.config.law;
         self.truth()
@@ -265,10 +239,10 @@ impl Laboratory {
             .map(str::parse::<LossPattern>)
             .transpose()
             .map_err(SetupError::new)?;
-        let world = self.drive.world_mut();
-        let now_us = world.now_us();
-        world.cameras_mut().set_loss_epoch(Some(now_us));
-        world.cameras_mut().set_loss(pattern);
+        let world = &mut self.drive.world;
+        let now_us = world.now_us;
+        world.cameras.set_loss_epoch(Some(now_us));
+        world.cameras.set_loss(pattern);
         Ok(())
     }
 
@@ -279,10 +253,10 @@ impl Laboratory {
     /// The text is no duration.
     pub fn lose_markers(&mut self, duration: &str) -> Result<(), SetupError> {
         let duration_us = parse_duration_us(duration).map_err(SetupError::new)?;
-        let world = self.drive.world_mut();
-        let now_us = world.now_us();
-        world.cameras_mut().set_loss_epoch(Some(0));
-        world.cameras_mut().add_loss_window(LossWindow {
+        let world = &mut self.drive.world;
+        let now_us = world.now_us;
+        world.cameras.set_loss_epoch(Some(0));
+        world.cameras.add_loss_window(LossWindow {
             start_us: now_us,
             end_us: now_us + duration_us,
         });
@@ -295,12 +269,12 @@ impl Laboratory {
     ///
     /// The name or the value is unknown; the text lists those that are known.
     pub fn set_fault(&mut self, name: &str, value: &FaultValue) -> Result<(), SetupError> {
-        fault::set(self.drive.world_mut(), name, value)
+        fault::set(&mut self.drive.world, name, value)
     }
 
     /// Presses the board's reset button.
     pub fn press_reset(&mut self) {
-        self.drive.world_mut().press_reset();
+        self.drive.world.press_reset();
     }
 
     /// Puts the car down elsewhere, at rest.
@@ -315,7 +289,7 @@ impl Laboratory {
         {
             return Err(SetupError::new("this is not a place on a floor"));
         }
-        self.drive.world_mut().car_mut().place(pose);
+        self.drive.world.car.place(pose);
         Ok(())
     }
 

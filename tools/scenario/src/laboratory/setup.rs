@@ -114,7 +114,6 @@ impl Setup {
     }
 
     /// Where G must be for P to stand at `point` (m), with straight wheels.
-    #[must_use]
     pub fn start(&self, point: [f64; 2], yaw_rad: f64) -> StartPose {
         let law = &self.config.law;
         let ahead = law.front_axle_distance_m + law.point_distance_m;

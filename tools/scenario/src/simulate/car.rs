@@ -149,7 +149,8 @@ pub enum Progress {
 /// A run of a scenario, tick by tick.
 pub struct ScenarioRun {
     scenario: Scenario,
-    laboratory: Laboratory,
+    /// Host, board, cameras and car.
+    pub laboratory: Laboratory,
     takes_any_end: bool,
     /// The true distance of the front axle from G, in m.
     front_axle_distance_m: f64,
@@ -238,7 +239,7 @@ impl ScenarioRun {
             None => {}
         }
         // Until the car drives, nothing timed happens to it.
-        let world = laboratory.drive_mut().world_mut();
+        let world = &mut laboratory.drive.world;
         world.set_epoch(None);
         let connected_us = match scenario.expects_any_end() {
             true => (scenario.operator.unwrap_or_default().daemon_after_s * 1e6) as u64,
@@ -271,7 +272,7 @@ impl ScenarioRun {
 
     /// Goes on to the first driving tick.
     fn start(&mut self) -> Result<(), CarError> {
-        while self.laboratory.drive().next_tick_us() < self.connected_us {
+        while self.laboratory.drive.next_tick_us() < self.connected_us {
             self.laboratory.step()?;
         }
         self.world().set_wire_connected(true);
@@ -299,11 +300,11 @@ impl ScenarioRun {
     }
 
     const fn world(&mut self) -> &mut World {
-        self.laboratory.drive_mut().world_mut()
+        &mut self.laboratory.drive.world
     }
 
     fn lose_markers(&mut self) {
-        let period_us = self.laboratory.config().control.period_ns() / 1_000;
+        let period_us = self.laboratory.config.control.period_ns() / 1_000;
         for index in 0..self.scenario.marker_loss.len() {
             let loss = self.scenario.marker_loss[index];
             let last_tick = (self.scenario.run.duration_s * 1e6) as u64 / period_us;
@@ -311,7 +312,7 @@ impl ScenarioRun {
             for first_tick in beginnings.take_while(|tick| *tick <= last_tick) {
                 // A tick is lost when no frame arrives in the period before it.
                 let first_us = self.start_us + (first_tick - 1) * period_us - self.latency_us;
-                self.world().cameras_mut().add_loss_window(LossWindow {
+                self.world().cameras.add_loss_window(LossWindow {
                     start_us: first_us,
                     end_us: first_us + loss.ticks * period_us,
                 });
@@ -331,30 +332,30 @@ impl ScenarioRun {
         if let (Some(0.0), Some(point), Some(estimate)) =
             (output.drive_time, output.point, output.estimate)
         {
-            let start = self.laboratory.config().reference.start();
+            let start = self.laboratory.config.reference.start();
             self.reference.begin(start, &point, estimate.yaw);
         }
         self.path.take(time, output);
         let calibration = self.calibration.as_mut();
         if let Some(learned) = calibration.and_then(|it| it.tick(&tick.tick)) {
             // Nothing else fills the ring.
-            let _ = self.laboratory.drive().learned(learned);
+            let _ = self.laboratory.drive.learned(learned);
         }
     }
 
     fn step(&mut self) -> Result<(), CarError> {
-        let next_us = self.laboratory.drive().next_tick_us();
+        let next_us = self.laboratory.drive.next_tick_us();
         if self.connected_us > 0 && next_us >= self.connected_us {
             self.connected_us = 0;
-            let connected = !self.operator.has_unplugged();
+            let connected = !self.operator.has_unplugged;
             self.world().set_wire_connected(connected);
         }
         let time = self.time(next_us);
-        self.operator.act(self.laboratory.drive_mut(), time)?;
+        self.operator.act(&mut self.laboratory.drive, time)?;
         if self.arms && time >= READY_TIMEOUT {
             self.arms = false;
         }
-        let drive = self.laboratory.drive();
+        let drive = &self.laboratory.drive;
         if self.arms && drive.mode() == Mode::Ready {
             let arm = PilotRequest::Arm(Arming::Unattended);
             self.arms = drive.request(arm).is_err();
@@ -364,21 +365,9 @@ impl ScenarioRun {
         Ok(())
     }
 
-    /// Host, board, cameras and car.
-    #[must_use]
-    pub const fn laboratory(&self) -> &Laboratory {
-        &self.laboratory
-    }
-
-    /// Host, board, cameras and car, to intervene in the run.
-    pub const fn laboratory_mut(&mut self) -> &mut Laboratory {
-        &mut self.laboratory
-    }
-
     /// Whether the run has reached its end. It can go on beyond, without rows.
-    #[must_use]
     pub fn is_complete(&self) -> bool {
-        let next_s = || self.time(self.laboratory.drive().next_tick_us());
+        let next_s = || self.time(self.laboratory.drive.next_tick_us());
         self.next_row > self.last_row() && (!self.takes_any_end || next_s() > self.until_s())
     }
 
@@ -405,7 +394,7 @@ impl ScenarioRun {
             return Ok(Progress::Tick);
         }
         let row_us = self.start_us + self.next_row * 1_000_000 / ROWS_PER_SECOND;
-        if !self.laboratory.drive_mut().advance_to(row_us) {
+        if !self.laboratory.drive.advance_to(row_us) {
             self.step()?;
             return Ok(Progress::Tick);
         }
@@ -470,7 +459,7 @@ impl ScenarioRun {
             tracking_error,
             summary: Some(summary),
             estimates: estimates.map_or_else(Vec::new, Vec::from),
-            digest: self.laboratory.digest(),
+            digest: self.laboratory.digest,
         })
     }
 

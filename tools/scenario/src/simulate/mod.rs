@@ -156,7 +156,6 @@ section! {
 
 impl TuneSection {
     /// The values.
-    #[must_use]
     pub fn tuning(&self) -> Tuning {
         Tuning {
             gain: self.gain_per_s.map(|[x, y]| Velocity::new(x, y)),
@@ -234,7 +233,7 @@ pub(super) struct Operator {
     /// What is still to be done, the next last.
     to_do: Vec<(f64, Action)>,
     /// The cable has been pulled.
-    has_unplugged: bool,
+    pub(super) has_unplugged: bool,
 }
 
 impl Operator {
@@ -255,11 +254,6 @@ impl Operator {
         }
     }
 
-    /// Whether the cable has been pulled and not been plugged in again.
-    pub(super) const fn has_unplugged(&self) -> bool {
-        self.has_unplugged
-    }
-
     /// Does what is due at a time of the run, in s.
     pub(super) fn act(&mut self, drive: &mut VirtualDrive, time: f64) -> Result<(), ScenarioError> {
         const BUSY: &str = "leave time between requests";
@@ -273,9 +267,9 @@ impl Operator {
                     .map_err(|source| ScenarioError::Tune { at_s, source })?,
                 Action::Connect(connected) => {
                     self.has_unplugged = !connected;
-                    drive.world_mut().set_cable(connected);
+                    drive.world.set_cable(connected);
                 }
-                Action::ResetBoard => drive.world_mut().press_reset(),
+                Action::ResetBoard => drive.world.press_reset(),
             }
         }
         Ok(())

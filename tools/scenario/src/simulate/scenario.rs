@@ -117,7 +117,6 @@ pub struct ControlSection {
 
 impl ControlSection {
     /// A controller with this period, in ms, that is as the daemon's.
-    #[must_use]
     pub fn new(period_ms: u32) -> Self {
         Self {
             period_ms,

@@ -244,13 +244,11 @@ pub const HEADER: &str = "t,yaw,yaw_rate,sideslip,steering,x_g,y_g,speed,steerin
 
 impl Row {
     /// From P to its reference, in m.
-    #[must_use]
     pub fn distance_from_reference(&self) -> f64 {
         libm::hypot(self.x_p - self.x_ref, self.y_p - self.y_ref)
     }
 
     /// The values, in the order of [`HEADER`].
-    #[must_use]
     pub fn values(&self) -> [f64; 16] {
         [
             self.t,
@@ -315,7 +313,6 @@ fn significant(value: f64) -> String {
 }
 
 /// A decimal number without needless zeros at its end.
-#[must_use]
 pub fn trim_zeros(number: &str) -> &str {
     if number.contains('.') {
         let trimmed = number.trim_end_matches('0').trim_end_matches('.');

@@ -94,7 +94,7 @@ impl CalibratedCar {
             outcome.ended = Ended::Alarm(reason.map_or("not-started", Reason::name));
             return Ok(outcome);
         };
-        let cameras = drive.world_mut().cameras_mut();
+        let cameras = &mut drive.world.cameras;
         cameras.set_loss_epoch(Some(start.0 / 1_000));
         cameras.set_loss(self.loss);
         let mut disarmed = false;
@@ -122,7 +122,7 @@ impl CalibratedCar {
             if !disarmed && outcome.seconds >= DRIVEN_S {
                 drive.request(PilotRequest::Disarm)?;
                 disarmed = true;
-                drive.world_mut().cameras_mut().set_loss(None);
+                drive.world.cameras.set_loss(None);
                 // The tick of the request still drives.
                 self.send(&drive, 0, outcome.seconds);
                 drive.step();

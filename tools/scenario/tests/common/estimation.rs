@@ -56,14 +56,14 @@ pub(crate) fn study(
     config.estimator.marker_loss = marker_loss;
     if let Some(loss) = loss {
         // The study needs the whole loss: the supervisor must not end the drive.
-        let longest_ms = u32::try_from(loss.duration_us() / 1_000).unwrap_or(u32::MAX);
+        let longest_ms = u32::try_from(loss.duration_us / 1_000).unwrap_or(u32::MAX);
         let supervisor = &mut config.supervisor;
         supervisor.hold_ms = supervisor.hold_ms.max(longest_ms.saturating_add(100));
     }
     let mut drive = VirtualDrive::new(config, scenario.run.seed, simulation)?;
     let first = drive.start()?;
     let epoch_us = first.now.0 / 1000;
-    let cameras = drive.world_mut().cameras_mut();
+    let cameras = &mut drive.world.cameras;
     cameras.set_loss(loss);
     cameras.set_loss_epoch(Some(epoch_us));
 

@@ -99,7 +99,6 @@ impl Request {
 
     /// Whether the request names this computer by an address or as `localhost`, and not by a name
     /// that another web page may have given it.
-    #[must_use]
     pub fn names_no_other_host(&self) -> bool {
         let Some(host) = &self.host else {
             // Browsers always name one.

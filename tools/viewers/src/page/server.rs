@@ -72,7 +72,8 @@ pub enum PageError {
 /// A page. It ends when this value is dropped.
 #[derive(Debug)]
 pub struct Page {
-    address: SocketAddr,
+    /// The address that it listens on, with the port in use.
+    pub address: SocketAddr,
     stop: Arc<Notify>,
     thread: Option<JoinHandle<()>>,
     _followers: Vec<Follower>,
@@ -150,12 +151,6 @@ impl Page {
             _followers: followers,
             _token_file: token_file,
         })
-    }
-
-    /// The address that it listens on, with the port in use.
-    #[must_use]
-    pub const fn address(&self) -> SocketAddr {
-        self.address
     }
 }
 

@@ -55,7 +55,6 @@ pub enum Severity {
 
 impl Severity {
     /// The word before a finding.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Warning => "warning",
@@ -147,7 +146,6 @@ pub struct Judgement {
 
 impl Judgement {
     /// Whether the car can do what is asked.
-    #[must_use]
     pub fn is_possible(&self) -> bool {
         self.findings
             .iter()

@@ -57,7 +57,6 @@ pub struct Recovery {
 
 impl Recovery {
     /// Time from the first to the last message saved.
-    #[must_use]
     pub fn duration(&self) -> Duration {
         self.span_ns.map_or(Duration::ZERO, |(first, last)| {
             Duration::from_nanos(last.saturating_sub(first))
@@ -83,7 +82,6 @@ impl Recovery {
     }
 
     /// Whether the record was complete and undamaged.
-    #[must_use]
     pub const fn nothing_lost(&self) -> bool {
         self.complete
             && self.damaged_places == 0
@@ -190,7 +188,7 @@ pub fn recover(
         container.discard()?;
         return Err(RecordError::Empty {
             path: input.to_owned(),
-            bytes: scan.length(),
+            bytes: scan.length,
         });
     }
     let metadata = recovery.to_metadata();
@@ -217,7 +215,7 @@ fn check_head(input: &Path, scan: &mut Scan) -> Result<String, RecordError> {
         path: input.to_owned(),
         bytes: length,
     };
-    let length = scan.length();
+    let length = scan.length;
     if !scan.magic().map_err(failure("read", input))? {
         return Err(if length < mcap::MAGIC.len() as u64 {
             empty(length)
@@ -295,11 +293,11 @@ impl Salvage {
         scan: &mut Scan,
         progress: &mut impl FnMut(u64, u64),
     ) -> Result<(), RecordError> {
-        let length = scan.length();
+        let length = scan.length;
         // Bytes lost since the last whole part. At the end of the file they are a cut.
         let mut lost = 0;
         loop {
-            let from = scan.at();
+            let from = scan.at;
             progress(from, length);
             let refused = match scan.next().map_err(failure("read", input))? {
                 Found::End => break,
@@ -312,7 +310,7 @@ impl Salvage {
             };
             if refused {
                 scan.resume(from).map_err(failure("read", input))?;
-                lost += scan.at() - from;
+                lost += scan.at - from;
             } else if lost > 0 {
                 self.recovery.damaged_places += 1;
                 self.recovery.damaged_bytes += lost;

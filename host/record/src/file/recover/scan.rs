@@ -28,9 +28,9 @@ const READ_AGAIN: u64 = 4;
 pub(super) struct Scan {
     file: BufReader<File>,
     /// Where the next record begins.
-    at: u64,
+    pub(super) at: u64,
     /// Length of the file when it was opened: it may still be growing.
-    length: u64,
+    pub(super) length: u64,
     content: Vec<u8>,
     /// Bytes that may still be read again after damage.
     again: u64,
@@ -59,16 +59,6 @@ impl Scan {
             content: Vec::new(),
             again: length.saturating_mul(READ_AGAIN),
         })
-    }
-
-    /// The position in the file.
-    pub(super) const fn at(&self) -> u64 {
-        self.at
-    }
-
-    /// The length of the file.
-    pub(super) const fn length(&self) -> u64 {
-        self.length
     }
 
     /// Skips the magic; false if the file does not begin with it.
@@ -188,17 +178,17 @@ mod tests {
         let mut read = 0;
         let mut places = 0;
         loop {
-            let from = scan.at();
+            let from = scan.at;
             match scan.next().unwrap() {
                 Found::End => break,
                 Found::Nothing => {}
                 Found::Record { content, .. } => read += content.len() as u64,
             }
             scan.resume(from).unwrap();
-            assert!(scan.at() > from);
+            assert!(scan.at > from);
             places += 1;
         }
         assert!(places > 1_000, "{places}");
-        assert!(read <= (READ_AGAIN + 2) * scan.length(), "{read}");
+        assert!(read <= (READ_AGAIN + 2) * scan.length, "{read}");
     }
 }

@@ -208,7 +208,6 @@ impl SampledLoop {
     }
 
     /// A prediction by the true car, servo and delay.
-    #[must_use]
     pub fn exact_prediction(&self) -> Option<Prediction> {
         let servo = self.servo?;
         Some(Prediction {
@@ -226,7 +225,6 @@ impl SampledLoop {
     }
 
     /// Whether the motion is stable.
-    #[must_use]
     pub fn is_stable(&self) -> bool {
         is_stable(Cycle::of(self).map())
     }
@@ -247,7 +245,6 @@ impl SampledLoop {
 
     /// The spectral radius per tick: the factor by which disturbances grow or decay per tick in
     /// the long run. Below one the motion is stable.
-    #[must_use]
     pub fn spectral_radius(&self) -> f64 {
         let cycle = Cycle::of(self);
         libm::pow(spectral_radius(cycle.map()), 1.0 / cycle.length())
@@ -255,7 +252,6 @@ impl SampledLoop {
 
     /// The smallest delay in s that makes the motion unstable. Zero if it is unstable without a delay, none if it is stable with every delay up
     /// to the limit. The loop's own delay has no influence; the servo's dead time comes on top.
-    #[must_use]
     pub fn delay_margin(&self, limits: MarginLimits) -> Option<f64> {
         let is_stable = |delay: f64| Self { delay, ..*self }.is_stable();
         let mut stable = 0.0;
@@ -288,7 +284,6 @@ impl SampledLoop {
     ///
     /// A multiple of the period. Zero if the motion is unstable with a pose at every tick, none
     /// if it is stable up to the limit.
-    #[must_use]
     pub fn longest_constant_interval(&self, limits: MarginLimits) -> Option<f64> {
         let mut cycle = Cycle::new(self);
         while cycle.interval <= limits.marker_interval {

@@ -204,7 +204,6 @@ impl Prediction {
     }
 
     /// How far it looks ahead, in s.
-    #[must_use]
     pub fn horizon(&self) -> f64 {
         self.delay + self.lag
     }

@@ -70,7 +70,6 @@ pub struct UnstablePattern {
 
 impl UnstablePattern {
     /// Its intervals.
-    #[must_use]
     pub fn intervals(&self) -> Vec<u32> {
         let times = |interval, count: u32| (0..count).map(move |_| interval);
         times(self.short, self.shorts)
@@ -103,7 +102,6 @@ fn first(mut no: u32, mut yes: u32, holds: impl Fn(u32) -> bool) -> u32 {
 
 impl SampledLoop {
     /// The loop over intervals between poses of one to `longest` ticks, in every order.
-    #[must_use]
     pub fn irregular(&self, longest: u32) -> Switched {
         let frame = self.servo_frame;
         let [[known_taken, known_kept], [held_taken, held_kept]] = self.tick_maps();
@@ -137,7 +135,6 @@ impl SampledLoop {
     }
 
     /// The loop, tick by tick, with random losses of poses.
-    #[must_use]
     pub fn with_random_losses(&self, losses: RandomLosses) -> Switched {
         let RandomLosses { share, mean_ticks } = losses;
         let found = 1.0 / mean_ticks.max(1.0);
@@ -176,7 +173,6 @@ impl SampledLoop {
 
     /// Up to which interval, in ticks, every pattern of intervals is proved to be stable, and from which
     /// one on some pattern is known that is not; both at most `limit`.
-    #[must_use]
     pub fn irregular_limits(&self, limit: u32) -> IrregularLimits {
         let is_unstable = |longest: u32| self.unstable_pattern(longest).is_some();
         let witness = Some(limit)
@@ -201,7 +197,6 @@ impl SampledLoop {
 
     /// A pattern of intervals, some of them of `longest` ticks and none longer, that makes the motion
     /// grow if it is repeated: some short intervals and some long ones.
-    #[must_use]
     pub fn unstable_pattern(&self, longest: u32) -> Option<UnstablePattern> {
         let switched = self.irregular(longest);
         let constant = [(longest, 0)].into_iter();
@@ -267,7 +262,6 @@ impl Switched {
 
     /// A function that falls on average with every step, if steps are random and the motion is stable in
     /// the mean square: `P = 1 + Σ probability Aᵀ P_to A` over the steps from its node.
-    #[must_use]
     pub fn mean_square_function(&self) -> Option<LyapunovFunction> {
         let size = self.coordinates.len();
         let count = size * (size + 1) / 2;
@@ -311,7 +305,6 @@ impl Switched {
     /// The largest t with `Aᵀ P_to A + t < P_from` for all steps and `0 < P < 1` is approached by the
     /// barrier method (Boyd, Vandenberghe: Convex Optimization, 2004, section 11.6), until it is above
     /// zero, or until it can't be.
-    #[must_use]
     pub fn common_function(&self) -> Option<LyapunovFunction> {
         let root = self.round_coordinates()?;
         let inverse = root.clone().try_inverse()?;

@@ -19,7 +19,6 @@ pub struct DoctorArgs {
 
 impl DoctorArgs {
     /// The procedure that is asked for.
-    #[must_use]
     pub const fn procedure(&self) -> &'static Procedure {
         if self.stand { &ON_STAND } else { &DOCTOR }
     }

@@ -322,7 +322,7 @@ impl Watched {
                 );
             }
         }
-        let frames = self.survey.frames();
+        let frames = self.survey.frames;
         note(
             answers && frames == 0,
             "it answers and sends no frames: is it measuring, and streaming?".to_owned(),

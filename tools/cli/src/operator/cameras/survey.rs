@@ -36,7 +36,8 @@ struct Seen {
 #[derive(Debug, Default)]
 pub(super) struct Survey {
     bodies: Vec<Seen>,
-    frames: u64,
+    /// Frames so far; with VRPN, poses.
+    pub(super) frames: u64,
     ages_ns: Vec<u64>,
     uncertainty_ns: u64,
     source: Option<CaptureTimeSource>,
@@ -93,11 +94,6 @@ impl Survey {
             }
             Output::Frame(frame) => self.frame(frame),
         }
-    }
-
-    /// Frames so far; with VRPN, poses.
-    pub(super) const fn frames(&self) -> u64 {
-        self.frames
     }
 
     fn body(&mut self, id: i32) -> &mut Seen {

@@ -202,7 +202,7 @@ impl DriveSession<'_> {
             let inputs = [source.as_fd(), self.session.as_fd(), self.watch.as_fd()];
             wait_to_read(inputs, WAIT).map_err(ControlError::from)?;
             // The pad first: nothing else may delay a stop.
-            if !self.pad.is_lost() {
+            if !self.pad.is_lost {
                 source.read(&mut events);
             }
             for event in events.drain(..) {
@@ -238,7 +238,7 @@ impl DriveSession<'_> {
                 Stage::Ending(since) => since.elapsed() > END,
                 stage => stage == Stage::Off,
             };
-            if is_over && self.pad.is_lost() {
+            if is_over && self.pad.is_lost {
                 return Err(match was_driving {
                     true => "the pad is gone: the motor is at neutral",
                     false => "the pad is gone",

@@ -117,14 +117,14 @@ impl Record {
         let reader = Reader::open(path)?.only(&chosen);
         Ok(Self {
             name: path.display().to_string(),
-            start_wall_ns: reader.meta().start.wall_ns,
+            start_wall_ns: reader.meta.start.wall_ns,
             reader,
             follow,
         })
     }
 
     fn is_unfinished(&self) -> bool {
-        matches!(self.reader.ending(), Some(Ending::Unfinished { .. }))
+        matches!(self.reader.ending, Some(Ending::Unfinished { .. }))
     }
 
     const fn since_start(&self, wall_ns: u64) -> i64 {
@@ -176,7 +176,7 @@ impl Source for Record {
     }
 
     fn close(&self) -> Close {
-        let ending = self.reader.ending().filter(|_| self.is_unfinished());
+        let ending = self.reader.ending.filter(|_| self.is_unfinished());
         Close {
             note: ending.map(|ending| format!("{}: {ending}", self.name)),
             unfinished: self.is_unfinished(),

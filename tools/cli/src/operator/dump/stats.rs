@@ -388,7 +388,7 @@ impl<'a> Stats<'a> {
             let gap = arrivals.longest_gap();
             report.topics.push(TopicReport {
                 topic: kind.name,
-                count: arrivals.count(),
+                count: arrivals.count,
                 rate_hz: arrivals.rate_hz(),
                 first_s: arrivals.first_ns().map(seconds),
                 last_s: arrivals.last_ns().map(seconds),

@@ -179,9 +179,7 @@ fn arm(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, Box<dyn Error>> {
     };
     let mut drive = FleetDrive::begin(fleet, &options, monotonic_ns)?;
     while !drive.is_over() {
-        let is_over = args
-            .time
-            .is_some_and(|time| drive.start().elapsed() >= time);
+        let is_over = args.time.is_some_and(|time| drive.start.elapsed() >= time);
         if interrupt.is_raised() || is_over {
             drive.disarm();
         }

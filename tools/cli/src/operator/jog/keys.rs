@@ -63,7 +63,7 @@ pub struct Keyboard {
     begun: Pulses,
     servo_us: u16,
     /// Distance of the ESC pulse from neutral while a key is held, us.
-    throttle_us: u16,
+    pub throttle_us: u16,
     /// The last key of the motor, its time, and whether it was a repetition.
     motor: Option<(Key, Time, bool)>,
     heard: Time,
@@ -72,7 +72,6 @@ pub struct Keyboard {
 
 impl Keyboard {
     /// Begins with these pulses: that of the ESC is its neutral.
-    #[must_use]
     pub const fn new(begun: Pulses, now: Time) -> Self {
         Self {
             begun,
@@ -82,12 +81,6 @@ impl Keyboard {
             heard: now,
             is_over: false,
         }
-    }
-
-    /// Distance of the ESC pulse from neutral while a key is held, us.
-    #[must_use]
-    pub const fn throttle_us(&self) -> u16 {
-        self.throttle_us
     }
 
     /// Handles a key that the terminal gave.
@@ -116,7 +109,6 @@ impl Keyboard {
     }
 
     /// The pulses at `now`; `None` once jogging is over.
-    #[must_use]
     pub fn pulses(&self, now: Time) -> Option<Pulses> {
         if self.is_over || since(now, self.heard) > UNATTENDED {
             return None;
@@ -217,7 +209,7 @@ mod tests {
         for _ in 0..100 {
             keyboard.handle(at(0), Key::More);
         }
-        assert_eq!(keyboard.throttle_us(), 150);
+        assert_eq!(keyboard.throttle_us, 150);
         for ms in [100, 500] {
             keyboard.handle(at(ms), Key::Down);
         }
@@ -225,7 +217,7 @@ mod tests {
         for _ in 0..100 {
             keyboard.handle(at(600), Key::Less);
         }
-        assert_eq!(keyboard.throttle_us(), 0);
+        assert_eq!(keyboard.throttle_us, 0);
     }
 
     #[test]

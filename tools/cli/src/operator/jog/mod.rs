@@ -79,7 +79,7 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
             keyboard.handle(now, key);
         }
         let pulses = keyboard.pulses(now);
-        Ok(pulses.map(|pulses| (request(pulses), note(pulses, keyboard.throttle_us()))))
+        Ok(pulses.map(|pulses| (request(pulses), note(pulses, keyboard.throttle_us))))
     });
     let _ = writeln!(io::stderr());
     ended

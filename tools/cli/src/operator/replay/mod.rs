@@ -83,7 +83,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, Box<dyn Error>> {
     let start = Instant::now();
     let mut replay = pilot(&args.record, &args.set)?;
     let mut ticks = Reader::open(&args.record)?.only(&[Topic::Tick]);
-    let meta = ticks.meta().clone();
+    let meta = ticks.meta.clone();
     let record = args.record.display();
     let progress = progress_bar(0, "{spinner} {pos} ticks replayed");
     let mut deviations = Deviations::default();
@@ -144,7 +144,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode, Box<dyn Error>> {
             figure.display()
         )
     };
-    if let Some(ending @ Ending::Unfinished { .. }) = ticks.ending() {
+    if let Some(ending @ Ending::Unfinished { .. }) = ticks.ending {
         eprintln!("singletrack: {record}: {ending}");
     }
     print(&format!("{told}{pace}\n")).map_err(|error| format!("standard output: {error}"))?;
@@ -275,7 +275,7 @@ impl Span {
 /// A pilot with the configurations of a record, all of them changed by `changes`.
 pub(super) fn pilot(path: &Path, changes: &[Change]) -> Result<Replay, Box<dyn Error>> {
     let mut reader = Reader::open(path)?.only(&[Topic::Configuration]);
-    if reader.meta().software.contains_key(import::SOFTWARE) {
+    if reader.meta.software.contains_key(import::SOFTWARE) {
         let path = path.display();
         return Err(format!(
             "{path} was imported from the log of another program: no pilot made it, so there is \
@@ -283,7 +283,7 @@ pub(super) fn pilot(path: &Path, changes: &[Change]) -> Result<Replay, Box<dyn E
         )
         .into());
     }
-    let start = reader.meta().configuration.clone();
+    let start = reader.meta.configuration.clone();
     let mut replay = Replay::new(configuration(path, 1, &start, changes)?);
     // Nearly no record has another one.
     if reader.message_count(Topic::Configuration) == Some(0) {

@@ -120,7 +120,6 @@ impl Deviation {
     }
 
     /// Root of the mean square.
-    #[must_use]
     pub fn rms(&self) -> f64 {
         self.differences.value().unwrap_or(0.0)
     }
@@ -172,7 +171,6 @@ impl Deviations {
     }
 
     /// Speed and steering, replayed over recorded.
-    #[must_use]
     pub fn figure(&self) -> Figure {
         let column =
             |index: usize| -> Column { self.series.iter().map(|row| row[index]).collect() };

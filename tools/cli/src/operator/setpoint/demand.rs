@@ -16,7 +16,6 @@ pub(super) struct DemandArgs {
         num_args = 2,
         value_names = ["VX", "VY"],
         value_parser = finite,
-        allow_negative_numbers = true,
         conflicts_with_all = ["steers", "drives", "trajectory"]
     )]
     velocity: Option<Vec<f64>>,
@@ -27,7 +26,6 @@ pub(super) struct DemandArgs {
         num_args = 2,
         value_names = ["X", "Y"],
         value_parser = finite,
-        allow_negative_numbers = true,
         requires = "velocity"
     )]
     position: Option<Vec<f64>>,
@@ -37,7 +35,6 @@ pub(super) struct DemandArgs {
         long,
         value_name = "RAD",
         value_parser = finite,
-        allow_negative_numbers = true,
         group = "steers",
         requires = "drives",
         conflicts_with = "trajectory"
@@ -49,7 +46,6 @@ pub(super) struct DemandArgs {
         long,
         value_name = "RAD_S",
         value_parser = finite,
-        allow_negative_numbers = true,
         group = "steers",
         requires = "drives",
         conflicts_with = "trajectory"
@@ -61,7 +57,6 @@ pub(super) struct DemandArgs {
         long,
         value_name = "M_S",
         value_parser = finite,
-        allow_negative_numbers = true,
         group = "drives",
         requires = "steers"
     )]
@@ -72,7 +67,6 @@ pub(super) struct DemandArgs {
         long,
         value_name = "M_S2",
         value_parser = finite,
-        allow_negative_numbers = true,
         group = "drives",
         requires = "steers"
     )]
@@ -113,10 +107,11 @@ fn finite(text: &str) -> Result<f64, String> {
 
 #[cfg(test)]
 mod tests {
-    use clap::{Parser, error::ErrorKind};
+    use clap::{CommandFactory as _, FromArgMatches as _, Parser, error::ErrorKind};
     use serde_json::json;
 
     use super::*;
+    use crate::arguments::take_negative_numbers;
 
     #[derive(Debug, Parser)]
     struct Program {
@@ -125,8 +120,10 @@ mod tests {
     }
 
     fn parse(options: &str) -> Result<DemandArgs, clap::Error> {
-        let program = Program::try_parse_from(["setpoint"].into_iter().chain(options.split(' ')));
-        program.map(|program| program.demand)
+        let words = ["setpoint"].into_iter().chain(options.split(' '));
+        let command = take_negative_numbers(Program::command());
+        let matches = command.try_get_matches_from(words)?;
+        Ok(Program::from_arg_matches(&matches)?.demand)
     }
 
     #[test]
@@ -199,7 +196,7 @@ mod tests {
                 ErrorKind::ValueValidation,
                 "finite number",
             ),
-            ("--velocity 1 0 --for -1", ErrorKind::UnknownArgument, "-1"),
+            ("--velocity 1 0 --for -1", ErrorKind::ValueValidation, "-1"),
         ] {
             let error = parse(options).unwrap_err();
             let text = error.to_string();

@@ -33,7 +33,6 @@ const FONT: &str = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-ser
 
 impl Figure {
     /// The figure as an SVG file, as large as it is to be printed.
-    #[must_use]
     pub fn to_svg(&self) -> String {
         let mut svg = String::new();
         // Writing to a string does not fail.
@@ -42,7 +41,6 @@ impl Figure {
     }
 
     /// The same for the screen: twice as large, in the colours of the reports.
-    #[must_use]
     pub fn to_screen_svg(&self) -> String {
         let svg = self.to_svg();
         let (head, rest) = svg.split_once('>').unwrap_or((&svg, ""));

@@ -57,14 +57,12 @@ impl FigureKind {
     }
 
     /// Its name, on the command line and of its file.
-    #[must_use]
     pub fn name(self) -> String {
         let value = self.to_possible_value();
         value.map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
     /// The name of its file.
-    #[must_use]
     pub fn file_name(self) -> String {
         format!("{}.svg", self.name())
     }

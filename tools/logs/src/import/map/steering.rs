@@ -65,7 +65,6 @@ impl SteeringSection {
     }
 
     /// The steering angle of a command, in rad.
-    #[must_use]
     pub fn angle(&self, command: f64) -> f64 {
         match &self.table {
             Some(table) => interpolate(table, command),

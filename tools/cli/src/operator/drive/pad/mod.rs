@@ -145,7 +145,8 @@ pub struct Pad {
     turn: Option<f64>,
     heard: Time,
     held: Option<Held>,
-    is_lost: bool,
+    /// Whether the pad is gone.
+    pub is_lost: bool,
     /// The last note, so that each is given once.
     note: Option<PadNote>,
     /// The pad was silent, which is still to be said.
@@ -155,7 +156,6 @@ pub struct Pad {
 impl Pad {
     /// A pad in an unknown state: no button counts before its first release. At the end of the
     /// stick P has `max_speed`, m/s; a pad that holds a drive may be silent for `silence`.
-    #[must_use]
     pub fn new(max_speed: f64, silence: Duration, now: Time) -> Self {
         Self {
             max_speed,
@@ -172,14 +172,7 @@ impl Pad {
         }
     }
 
-    /// Whether the pad is gone.
-    #[must_use]
-    pub const fn is_lost(&self) -> bool {
-        self.is_lost
-    }
-
     /// The driver whose drive the pad holds.
-    #[must_use]
     pub fn driver(&self) -> Option<Driver> {
         self.held.map(|held| held.driver)
     }
