@@ -34,13 +34,13 @@ const CHECKED: &str = "--package singletrackd --package singletrack-commissionin
 const TRAJECTORY: &str = "--package singletrack-scenario --bin trajectory --no-default-features \
                           --features singletrack-scenario/files";
 
-/// The packages of that program which hardly compute: they read files and pass values on. Without
-/// optimisation they compile in a third of the time.
-const NOT_COMPUTING: [&str; 3] = [
-    "singletrack-core",
-    "singletrack-record",
-    "singletrack-scenario",
-];
+/// Cargo's options of a check: the profile is that of the browser's module, which has the same helpers of
+/// the compiler; nothing is optimised but what computes.
+const QUICK: &str = " --config profile.web.panic=\"unwind\" --config profile.web.package.\"*\".opt-level=0 \
+    --config profile.web.package.singletrack-api.opt-level=0 \
+    --config profile.web.package.singletrack-core.opt-level=0 \
+    --config profile.web.package.singletrack-record.opt-level=0 \
+    --config profile.web.package.singletrack-scenario.opt-level=0";
 
 /// The packages that compute.
 const COMPUTING: [&str; 7] = [
@@ -72,14 +72,14 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     }
 }
 
-/// Checks that the Odroid's programs compile, and that what computes in the tested profile computes the
-/// same bits there as here. The programs themselves are built and run by `cargo deb`.
+/// Checks that the Odroid's programs compile, and that what computes, optimised, computes the same bits
+/// there as here. The programs themselves are built and run by `cargo deb`.
 pub(crate) fn verify(packages: &Packages) -> Result {
-    let (mut check_programs, _) = ARMHF.cargo("check", "dev")?;
-    check_programs.args(CHECKED.split_whitespace());
+    let (mut check_programs, _) = ARMHF.cargo("check", "web")?;
+    check_programs.args(format!("{CHECKED}{QUICK}").split_whitespace());
     // This combination of features is linted only here.
     check(check_programs.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]))?;
-    compare_emulated(packages, "dev", &not_optimised())
+    compare_emulated(packages, "web", QUICK)
 }
 
 /// Checks that a release as it is installed simulates the same bits here and there as the tests here:
@@ -128,16 +128,10 @@ fn compare_native(packages: &Packages, optimised: &Path) -> Result {
     compare(packages, &SCENARIOS, builds, &|| Command::new(optimised))
 }
 
-/// Cargo's options that keep it from optimising what hardly computes, each after a blank.
-fn not_optimised() -> String {
-    let option = |package| format!(" --config profile.dev.package.{package}.opt-level=0");
-    NOT_COMPUTING.into_iter().map(option).collect()
-}
-
 /// Builds programs, and returns their folder.
 fn build(profile: &str, options: &str) -> Result<PathBuf> {
     let (mut cargo, folder) = ARMHF.cargo("build", profile)?;
-    check(cargo.args(options.split(' ')).stdout(Stdio::null()))?;
+    check(cargo.args(options.split_whitespace()).stdout(Stdio::null()))?;
     Ok(folder)
 }
 

@@ -20,6 +20,10 @@ pub(crate) const AVR: &str = "compiler avr-none core";
 /// The same, with clippy of the same release.
 pub(crate) const AVR_CLIPPY: &str = "compiler avr-none core clippy";
 
+/// The folder in the target folder where both for Linux and for a browser are built: they share what
+/// runs while compiling.
+pub(crate) const CROSS: &str = "cross";
+
 /// A processor with Linux.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Target {
@@ -134,7 +138,7 @@ impl Target {
     /// Adds the arguments of a build by cargo, or by maturin, which has the same. The standard
     /// library is built from its sources. Returns the folder of the programs.
     fn set_up(&self, command: &mut Command, profile: &str) -> Result<PathBuf> {
-        let folder = target::folder()?.join("odroid");
+        let folder = target::folder()?.join(CROSS);
         let triple = self.triple.replace('-', "_");
         let gcc = format!("{}-gcc", self.gnu);
         let linker = format!("CARGO_TARGET_{}_LINKER", triple.to_uppercase());
@@ -146,12 +150,11 @@ impl Target {
             .args(["-Zbuild-std=std,panic_unwind", "--target", self.triple])
             .arg("--target-dir")
             .arg(&folder);
-        if profile == "dev" {
+        if profile != "release" {
             // No trace of a panic, which takes a third of the standard library.
             command.arg("-Zbuild-std-features=panic-unwind");
         }
-        let name = if profile == "dev" { "debug" } else { profile };
-        Ok(folder.join(self.triple).join(name))
+        Ok(folder.join(self.triple).join(profile))
     }
 }
 

@@ -13,7 +13,7 @@ use crate::{
     programs::Packages,
     step::processor_s,
     target,
-    toolchain::Compiler,
+    toolchain::{CROSS, Compiler},
     workspace::root,
 };
 
@@ -80,7 +80,8 @@ pub(crate) fn build() -> Result<PathBuf> {
     let [linker, clang, archiver] = tools.lines().collect::<Vec<_>>()[..] else {
         return Err(failure!("wasm_tools found {tools:?}"));
     };
-    let folder = target::folder()?.join("web");
+    let target = target::folder()?;
+    let folder = target.join(CROSS);
     let mut cargo = Compiler::find(WASM)?.cargo(root());
     cargo
         .env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER", linker)
@@ -107,7 +108,7 @@ pub(crate) fn build() -> Result<PathBuf> {
         // Of 1 MiB by default, which overflows without a message.
         .args(["--", "-Clink-arg=-zstack-size=16777216"]);
     check(cargo.stdout(Stdio::null()))?;
-    let site = folder.join("site");
+    let site = target.join("web/site");
     target::empty(&site)?;
     copy(&root().join("web/static"), &site)?;
     for (from, to) in SHARED {

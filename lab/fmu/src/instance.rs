@@ -119,7 +119,7 @@ impl Instance {
                 let laboratory = Laboratory::new(setup.config, seed, simulation);
                 let mut laboratory = Box::new(laboratory.map_err(SetupError::new)?);
                 laboratory.start().map_err(SetupError::new)?;
-                let start_us = laboratory.drive().now_us();
+                let start_us = laboratory.drive.now_us();
                 Simulated::System(laboratory, start_us)
             }
         });
@@ -236,7 +236,7 @@ impl Instance {
                 }
             }
             Some(Simulated::System(laboratory, start_us)) => {
-                while !laboratory.drive_mut().advance_to(*start_us + until_us) {
+                while !laboratory.drive.advance_to(*start_us + until_us) {
                     if laboratory.is_external() {
                         let velocity = Setpoint {
                             velocity_m_s: Some(inputs),
