@@ -35,14 +35,14 @@ fn the_kill_output_is_held_from_arming_to_the_first_stop() {
     let (simulation, configuration) = with_kill_relay();
     let mut drive = asked_to_arm(simulation, configuration);
     assert_eq!(drive.host.mode(), Some(BoardMode::PoweringUp));
-    assert!(drive.world.car().esc_has_power());
+    assert!(drive.world.car.esc_has_power());
     drive.run_ms(2_100);
     assert_eq!(drive.host.mode(), Some(BoardMode::Armed));
     drive.drive(100, 400, 0, |_| {});
     assert!(drive.world.truth().wheel_speed > 0.3);
     // Commands end: the supply is off before the neutral pulse is over.
     drive.run_ms(100);
-    assert!(!drive.world.car().esc_has_power());
+    assert!(!drive.world.car.esc_has_power());
     assert_eq!(drive.host.mode(), Some(BoardMode::Failsafe));
 }
 
@@ -64,7 +64,7 @@ fn pulled_at_1_m_s(own_supply: bool, kill_output: bool) -> (Option<u64>, f64) {
     let mut dark_ms = None;
     for ms in 1..=3_000 {
         drive.run_ms(1);
-        if !drive.world.car().esc_has_power() {
+        if !drive.world.car.esc_has_power() {
             dark_ms.get_or_insert(ms);
         }
     }
@@ -110,7 +110,7 @@ fn a_hung_main_loop_drops_the_kill_output_within_21_ms() {
         let held_ms = (0..200)
             .find(|_| {
                 drive.run_ms(1);
-                !drive.world.car().esc_has_power()
+                !drive.world.car.esc_has_power()
             })
             .unwrap();
         // With interrupts disabled the watchdog's reset lets the pin float.
@@ -125,14 +125,14 @@ fn an_emergency_stop_falls_silent_on_the_pin_and_stays_so_when_the_main_loop_han
     let request = drive.host.next_sequence();
     drive.send(&ToBoard::EmergencyStop(EmergencyStop { request }));
     drive.run_ms(30);
-    let stopped_us = drive.world.now_us();
+    let stopped_us = drive.world.now_us;
     // 200 ms from the request.
     drive.run_ms(160);
     let pulses = pulses_since(&drive, stopped_us);
     assert!(pulses.len() >= 7);
     assert!(pulses.iter().all(|pulse| pulse.esc_us == 1_500));
     drive.run_ms(60);
-    let silent_us = drive.world.now_us();
+    let silent_us = drive.world.now_us;
     drive.run_ms(500);
     let pulses = pulses_since(&drive, silent_us);
     // The servo still holds the wheels.
@@ -144,7 +144,7 @@ fn an_emergency_stop_falls_silent_on_the_pin_and_stays_so_when_the_main_loop_han
     );
     assert_eq!(drive.host.telemetry.unwrap().esc_us, 0);
     drive.world.board.hang(Hang::MainLoop);
-    let hung_us = drive.world.now_us();
+    let hung_us = drive.world.now_us;
     drive.run_ms(60);
     let pulses = pulses_since(&drive, hung_us);
     assert!(pulses.iter().all(|pulse| pulse.esc_us == 0));
@@ -167,7 +167,7 @@ fn ringing_on_the_sensors_wire_keeps_neither_pulse_guard_nor_host_from_stopping_
     let status = drive.host.status.unwrap();
     assert!(status.edges_refused > 10, "{status:?}");
     assert_eq!(drive.host.mode(), Some(BoardMode::Failsafe));
-    assert_eq!(drive.world.board().resets(), 0);
+    assert_eq!(drive.world.board.resets, 0);
 }
 
 #[test]

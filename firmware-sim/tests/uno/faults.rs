@@ -14,8 +14,8 @@ const NEUTRAL_US: u16 = 1_500;
 fn neutral_after_ms(drive: &ScriptedDrive, since_us: u64) -> f64 {
     let neutral = drive
         .world
-        .board()
-        .pulses()
+        .board
+        .pulses
         .neutral_from(since_us, NEUTRAL_US, 0)
         .unwrap();
     (neutral.time_us - since_us) as f64 * 1e-3
@@ -28,17 +28,17 @@ fn a_hung_main_loop_gives_neutral_within_45_ms_and_a_reset_within_110() {
         let mut drive = driving(1);
         drive.run_ms(phase_ms);
         drive.world.board.hang(Hang::MainLoop);
-        let hung_us = drive.world.now_us();
+        let hung_us = drive.world.now_us;
         let (mut reset_us, mut ticks) = (None, 0);
         while reset_us.is_none() {
             drive.drive(1, 400, 500, |_| {});
             ticks += 1;
             assert!(ticks < 20, "no reset");
-            if drive.world.board().resets() == 1 {
+            if drive.world.board.resets == 1 {
                 reset_us = drive
                     .world
-                    .board()
-                    .pulses()
+                    .board
+                    .pulses
                     .iter()
                     .find(|pulse| pulse.time_us >= hung_us && pulse.esc_us == 0)
                     .map(|pulse| pulse.time_us);
@@ -58,7 +58,7 @@ fn a_watchdog_reset_is_reported_and_requires_arming() {
     let mut drive = driving(1);
     drive.host.hellos.clear();
     drive.world.board.hang(Hang::MainLoop);
-    let hung_us = drive.world.now_us();
+    let hung_us = drive.world.now_us;
     // A host that has not noticed keeps sending commands for ten seconds.
     drive.drive(1_000, 400, 500, |_| {});
     assert_eq!(drive.host.hellos.first().unwrap().nonce, UNSOLICITED);
@@ -77,16 +77,16 @@ fn a_watchdog_reset_is_reported_and_requires_arming() {
     drive.drive(100, 400, 0, |_| {});
     assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
     assert!(drive.world.truth().wheel_speed > 0.3);
-    assert_eq!(drive.world.board().resets(), 1);
+    assert_eq!(drive.world.board.resets, 1);
 }
 
 #[test]
 fn with_interrupts_disabled_the_watchdog_ends_the_drive() {
     let mut drive = driving(1);
     drive.world.board.hang(Hang::Everything);
-    let hung_us = drive.world.now_us();
+    let hung_us = drive.world.now_us;
     drive.drive(30, 400, 500, |_| {});
-    assert_eq!(drive.world.board().resets(), 1);
+    assert_eq!(drive.world.board.resets, 1);
     let neutral = neutral_after_ms(&drive, hung_us);
     assert!(neutral <= 110.0, "{neutral} ms");
 }
@@ -98,13 +98,13 @@ fn a_pulse_guard_without_ticks_or_pulses_is_reset_however_often_the_host_asks_to
     for hang in [Hang::Ticks, Hang::Pulses] {
         let mut drive = driving(1);
         drive.world.board.hang(hang);
-        let hung_us = drive.world.now_us();
+        let hung_us = drive.world.now_us;
         let mut reset_ms = None;
         for ms in (0..1_000).step_by(10) {
             let request = drive.host.next_sequence();
             drive.send(&ToBoard::EmergencyStop(EmergencyStop { request }));
             drive.run_ms(10);
-            if drive.world.board().resets() > 0 {
+            if drive.world.board.resets > 0 {
                 reset_ms.get_or_insert(ms + 10);
             }
         }
@@ -112,7 +112,7 @@ fn a_pulse_guard_without_ticks_or_pulses_is_reset_however_often_the_host_asks_to
             reset_ms.is_some_and(|ms| ms <= 110),
             "{hang:?}: {reset_ms:?} ms"
         );
-        assert_eq!(drive.world.board().resets(), 1, "{hang:?}");
+        assert_eq!(drive.world.board.resets, 1, "{hang:?}");
         let neutral = neutral_after_ms(&drive, hung_us);
         assert!(neutral <= 110.0, "{hang:?}: {neutral} ms");
     }
@@ -124,7 +124,7 @@ const RESET_RESOLUTION_US: u64 = 1_000;
 /// Checks every pulse independently of its mark as cut. Returns the number of
 /// pulses outside the limits.
 fn cut_by_resets(drive: &ScriptedDrive) -> usize {
-    let pulses: Vec<PulseRecord> = drive.world.board().pulses().iter().copied().collect();
+    let pulses: Vec<PulseRecord> = drive.world.board.pulses.iter().copied().collect();
     let mut outside = 0;
     for (place, pulse) in pulses.iter().enumerate() {
         assert!(is_within_limits(pulse), "{pulse:?}");
@@ -163,17 +163,17 @@ fn only_resets_cut_pulses_below_the_limits() {
         drive.run_ms(phase_ms);
         drive.world.reset_board(ResetCause::BrownOut);
         drive.drive(30, 400, 500, |_| {});
-        assert_eq!(drive.world.board().resets(), 1);
+        assert_eq!(drive.world.board.resets, 1);
         cut_by_line += cut_by_resets(&drive);
-        assert_eq!(drive.world.board().pulse_jitter_us(), Some(0.0));
+        assert_eq!(drive.world.board.pulse_jitter_us(), Some(0.0));
 
         let mut drive = driving(1);
         drive.run_ms(phase_ms);
         drive.world.board.hang(Hang::Everything);
         drive.drive(30, 400, 500, |_| {});
-        assert_eq!(drive.world.board().resets(), 1);
+        assert_eq!(drive.world.board.resets, 1);
         cut_by_watchdog += cut_by_resets(&drive);
-        assert_eq!(drive.world.board().pulse_jitter_us(), Some(0.0));
+        assert_eq!(drive.world.board.pulse_jitter_us(), Some(0.0));
     }
     // A pulse takes a thirteenth of the frame, and each frame has two.
     assert!((1..=4).contains(&cut_by_line), "{cut_by_line}");
@@ -188,7 +188,7 @@ fn the_neutral_pulse_ends_within_120_ms_of_the_last_command_at_every_phase() {
         drive.run_ms(phase_ms);
         let command = drive.host.drive(400, 500);
         drive.send(&command);
-        let sent_us = drive.world.now_us();
+        let sent_us = drive.world.now_us;
         drive.run_ms(300);
         let neutral = neutral_after_ms(&drive, sent_us);
         // A pulse is known at its end.
@@ -230,7 +230,7 @@ fn the_imu_recovers_from_every_bus_fault_while_driving() {
             status.imu_errors > errors || fault == BusFault::Restarted,
             "{fault:?}"
         );
-        assert_eq!(drive.world.board().resets(), 0);
+        assert_eq!(drive.world.board.resets, 0);
     }
 }
 
@@ -242,7 +242,7 @@ fn a_short_circuited_bus_loses_only_the_imu() {
     assert_eq!(drive.host.telemetry.unwrap().imu, ImuState::Silent);
     assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
     assert!((drive.world.truth().wheel_speed - 0.4).abs() < 0.04);
-    assert_eq!(drive.world.board().resets(), 0);
+    assert_eq!(drive.world.board.resets, 0);
 }
 
 #[test]
@@ -283,7 +283,7 @@ fn one_percent_of_bit_errors_gives_no_wrong_pulse_and_no_reset() {
     // 1 % of all data bits in both directions: 8 % of the bytes have a flipped bit.
     // A third of the commands arrive; most of them are too old because little of
     // the telemetry arrives, and the car stands most of the time.
-    let begin_us = drive.world.now_us();
+    let begin_us = drive.world.now_us;
     drive.world.wire.faults = WireFaults {
         corrupt: 0.08,
         ..WireFaults::default()
@@ -297,25 +297,25 @@ fn one_percent_of_bit_errors_gives_no_wrong_pulse_and_no_reset() {
     }
     assert!(drive.host.damaged > 1_000, "{}", drive.host.damaged);
     drive.world.wire.faults = WireFaults::default();
-    let end_us = drive.world.now_us();
+    let end_us = drive.world.now_us;
     assert!(end_us - begin_us >= 60_000_000);
     // The link recovers within 100 ms in both directions.
     let (records, answers) = (drive.host.records, drive.host.answers);
     drive.drive(5, 400, 500, |_| {});
     drive.arm();
-    assert!(drive.world.now_us() - end_us <= 100_000);
+    assert!(drive.world.now_us - end_us <= 100_000);
     assert!(drive.host.records >= records + 8);
     assert!(drive.host.answers > answers);
     let pulses = pulses_since(&drive, begin_us);
     assert!(pulses.len() > 2_900);
     assert_eq!(wrong_pulses(&pulses), []);
-    assert_eq!(drive.world.board().resets(), 0);
+    assert_eq!(drive.world.board.resets, 0);
 }
 
 #[test]
 fn one_percent_of_bit_errors_in_the_commands_gives_no_wrong_pulse() {
     let mut drive = driving(1);
-    let begin_us = drive.world.now_us();
+    let begin_us = drive.world.now_us;
     let mut random = 1_u64;
     let mut driven = 0;
     for _ in 0..6_000 {
@@ -344,13 +344,13 @@ fn one_percent_of_bit_errors_in_the_commands_gives_no_wrong_pulse() {
     // Occasionally enough commands are lost in a row to stop the car.
     assert!(driven > 3_000, "{driven}");
     assert_eq!(wrong_pulses(&pulses_since(&drive, begin_us)), []);
-    assert_eq!(drive.world.board().resets(), 0);
+    assert_eq!(drive.world.board.resets, 0);
 }
 
 #[test]
 fn random_bytes_at_the_full_baud_rate_cause_no_overrun_and_stop_the_car() {
     let mut drive = driving(1);
-    let flood_us = drive.world.now_us();
+    let flood_us = drive.world.now_us;
     let mut byte = 1_u8;
     for _ in 0..100 {
         // The line carries 115 bytes in 10 ms.
@@ -363,7 +363,7 @@ fn random_bytes_at_the_full_baud_rate_cause_no_overrun_and_stop_the_car() {
         drive.world.host_write(&garbage);
         drive.run_ms(10);
     }
-    assert_eq!(drive.world.board().bytes_overrun(), 0);
+    assert_eq!(drive.world.board.bytes_overrun(), 0);
     assert_eq!(drive.host.mode(), Some(BoardMode::Failsafe));
     assert_eq!(
         drive.host.telemetry.unwrap().stop_cause,
@@ -372,7 +372,7 @@ fn random_bytes_at_the_full_baud_rate_cause_no_overrun_and_stop_the_car() {
     assert!(pulses_since(&drive, flood_us).iter().all(is_within_limits));
     let status = drive.host.status.unwrap();
     assert_eq!(status.bytes_overrun, 0, "{status:?}");
-    assert_eq!(drive.world.board().resets(), 0);
+    assert_eq!(drive.world.board.resets, 0);
 }
 
 #[test]
@@ -382,7 +382,7 @@ fn a_hung_board_counts_lost_bytes() {
     drive.world.host_write(&[0; 50]);
     drive.run_ms(20);
     // Two bytes in the receiver's buffer, one in its shift register.
-    let lost = drive.world.board().bytes_overrun();
+    let lost = drive.world.board.bytes_overrun();
     assert!((40..=48).contains(&lost), "{lost}");
 }
 
@@ -395,7 +395,7 @@ fn a_configured_stop_switch_gives_neutral_at_once() {
     drive.drive(100, 400, 0, |_| {});
     assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
     drive.world.board.set_stop_input_open(true);
-    let opened_us = drive.world.now_us();
+    let opened_us = drive.world.now_us;
     drive.drive(20, 400, 0, |_| {});
     assert_eq!(drive.host.mode(), Some(BoardMode::EmergencyStopped));
     let neutral = neutral_after_ms(&drive, opened_us);
@@ -450,7 +450,7 @@ fn both_pulses_have_exactly_the_width_in_telemetry_every_20_ms() {
     let mut drive = driving(1);
     drive.drive(200, 400, -700, |_| {});
     let telemetry = drive.host.telemetry.unwrap();
-    let pulses = pulses_since(&drive, drive.world.now_us() - 1_000_000);
+    let pulses = pulses_since(&drive, drive.world.now_us - 1_000_000);
     let last = pulses.last().unwrap();
     assert_eq!(last.servo_us, telemetry.servo_us);
     assert!(last.esc_us.abs_diff(telemetry.esc_us) <= 2);
@@ -458,7 +458,7 @@ fn both_pulses_have_exactly_the_width_in_telemetry_every_20_ms() {
         let [before, after] = pair else { continue };
         assert_eq!(after.board_time_us - before.board_time_us, 20_000);
     }
-    let first = drive.world.board().pulses().iter().next().unwrap();
+    let first = drive.world.board.pulses.iter().next().unwrap();
     assert_eq!((first.servo_us, first.esc_us), (0, NEUTRAL_US));
 }
 
@@ -477,8 +477,8 @@ proptest! {
         }
         drive.run_ms(100);
         let felt = |pulse: &PulseRecord| pulse.esc_us != 0 && pulse.esc_us != NEUTRAL_US;
-        prop_assert!(!drive.world.board().pulses().iter().any(felt));
-        prop_assert_eq!(drive.world.board().resets(), 0);
+        prop_assert!(!drive.world.board.pulses.iter().any(felt));
+        prop_assert_eq!(drive.world.board.resets, 0);
         // Telemetry continues.
         let records = drive.host.records;
         drive.run_ms(100);

@@ -38,7 +38,7 @@ fn driving(seed: u64) -> ScriptedDrive {
 
 /// The pulses since a time, in µs of the simulation.
 fn pulses_since(drive: &ScriptedDrive, time_us: u64) -> Vec<PulseRecord> {
-    let pulses = drive.world.board().pulses().iter();
+    let pulses = drive.world.board.pulses.iter();
     pulses
         .filter(|pulse| pulse.time_us >= time_us)
         .copied()
@@ -169,7 +169,7 @@ fn a_drive_at_100_hz_leaves_80_percent_of_the_processor_and_600_bytes_of_memory(
         assert!(interrupt.most_cycles < 400, "{interrupt:?}");
     }
     assert!(after.longest_critical_section < 200, "{after:?}");
-    assert_eq!(drive.world.board().pulse_jitter_us(), Some(0.0));
+    assert_eq!(drive.world.board.pulse_jitter_us(), Some(0.0));
 }
 
 #[test]
@@ -183,7 +183,7 @@ fn the_line_is_loaded_below_40_percent_in_both_directions() {
         drive.send(&command);
         let mut bytes = Vec::new();
         for _ in 0..10 {
-            let next_us = drive.world.now_us() + 1_000;
+            let next_us = drive.world.now_us + 1_000;
             drive.world.advance_to(next_us);
             drive.world.host_read(&mut bytes);
         }
