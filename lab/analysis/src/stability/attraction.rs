@@ -344,13 +344,20 @@ mod tests {
         ideal.saturating(saturation).unwrap()
     }
 
-    #[test]
-    fn a_small_region_is_proved_and_a_form_that_rises_is_not() {
-        let at = at(2.0);
-        let region = at.attraction(0.002).unwrap().unwrap();
-        assert!((region.yaw() - 0.002).abs() < 1e-9);
-        let mut other = region.form;
-        other[(1, 1)] *= 100.0;
-        assert!(Proof::new(&at, &other, region.level).is_none_or(|proof| proof.boxes().is_none()));
+    /// Left out of `cargo verify`, not of `--all`: it takes seconds of processor time.
+    mod thorough {
+        use super::*;
+
+        #[test]
+        fn a_small_region_is_proved_and_a_form_that_rises_is_not() {
+            let at = at(2.0);
+            let region = at.attraction(0.01).unwrap().unwrap();
+            assert!((region.yaw() - 0.01).abs() < 1e-9);
+            let mut other = region.form;
+            other[(1, 1)] *= 100.0;
+            assert!(
+                Proof::new(&at, &other, region.level).is_none_or(|proof| proof.boxes().is_none())
+            );
+        }
     }
 }
