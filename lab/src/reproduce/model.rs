@@ -327,32 +327,21 @@ fn tables(setup: &Setup, report: &Report, section: &mut Section) {
     });
     let rows = estimates.collect();
     let header = "truth,start,estimate,interval_low,interval_high".to_owned();
-    let estimates = Table { header, rows };
-    section.table("model-estimates", estimates);
+    section.table("model-estimates", Table { header, rows });
     let points = validation(report).map(|validation| &validation.simulation[..]);
-    let validation = Table::of(
-        points.unwrap_or_default(),
-        &[
-            ("time_s", |point| point.time_s),
-            ("speed_m_s", |point| point.speed_m_s),
-            ("steering_rad", |point| point.steering_rad),
-            ("measured_yaw_rad", |point| point.measured_yaw_rad),
-            ("yaw_rad", |point| point.yaw_rad),
-            ("measured_yaw_rate_rad_s", |point| {
-                point.measured_yaw_rate_rad_s
-            }),
-            ("yaw_rate_rad_s", |point| point.yaw_rate_rad_s),
-            ("measured_sideslip_rad", |point| point.measured_sideslip_rad),
-            ("sideslip_rad", |point| point.sideslip_rad),
-            ("measured_left_m_s2", |point| point.measured_left_m_s2),
-            ("left_m_s2", |point| point.left_m_s2),
-            ("measured_x_m", |point| point.measured_m[0]),
-            ("measured_y_m", |point| point.measured_m[1]),
-            ("x_m", |point| point.position_m[0]),
-            ("y_m", |point| point.position_m[1]),
-        ],
-    );
-    section.table("model-validation", validation);
+    let rows = points.unwrap_or_default().iter().map(|point| {
+        let mut row = vec![point.time_s, point.speed_m_s, point.steering_rad];
+        row.extend([point.measured_yaw_rad, point.yaw_rad]);
+        row.extend(Output::ALL.iter().flat_map(|output| output.of(point)));
+        row.extend(point.measured_m.into_iter().chain(point.position_m));
+        row
+    });
+    let header = "time_s,speed_m_s,steering_rad,measured_yaw_rad,yaw_rad,measured_yaw_rate_rad_s,\
+                  yaw_rate_rad_s,measured_sideslip_rad,sideslip_rad,measured_left_m_s2,left_m_s2,\
+                  measured_x_m,measured_y_m,x_m,y_m"
+        .to_owned();
+    let rows = rows.collect();
+    section.table("model-validation", Table { header, rows });
 }
 
 fn plates(setup: &Setup, report: &Report, section: &mut Section) {

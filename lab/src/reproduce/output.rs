@@ -509,7 +509,7 @@ mod tests {
 
     fn reproduction() -> Reproduction {
         let table = |name: &str| {
-            let table = Table::of(&[1.0], &[("t", |t| *t)]);
+            let table = Table::of("t", &[serde_json::json!({ "t": 1.0 })]);
             (name.to_owned(), table)
         };
         let mut section = Section::new(2, "", "");

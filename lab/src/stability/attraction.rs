@@ -96,25 +96,14 @@ pub(super) fn run(args: &AttractionArgs) -> Result {
     }
     let rows: Vec<AttractionRow> = found.iter().map(|(row, _)| *row).collect();
     match args.format {
-        DrawnFormat::Csv => print(&table(&rows).to_csv())?,
+        DrawnFormat::Csv => {
+            let header = "speed_m_s,level,proved_yaw_rad,simulated_yaw_rad,boxes,time_s";
+            print(&Table::of(header, &rows).to_csv())?;
+        }
         DrawnFormat::Json => write_json(&subject, &rows)?,
         DrawnFormat::Svg => print(&figures::attraction(&rows).to_svg())?,
     }
     Ok(())
-}
-
-fn table(rows: &[AttractionRow]) -> Table {
-    Table::of(
-        rows,
-        &[
-            ("speed_m_s", |row| row.speed_m_s),
-            ("level", |row| row.level),
-            ("proved_yaw_rad", |row| row.proved_yaw_rad),
-            ("simulated_yaw_rad", |row| row.simulated_yaw_rad),
-            ("boxes", |row| f64::from(row.boxes)),
-            ("time_s", |row| row.time_s),
-        ],
-    )
 }
 
 /// All that a program needs which derives the loop for itself, and checks that x'Px falls.

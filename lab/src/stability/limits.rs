@@ -214,20 +214,8 @@ pub(super) fn shown_map(
 
 /// The numbers of a map; of a margin that was not found none.
 pub fn sampled_table(map: &[SampledRow]) -> Table {
-    Table::of(
-        map,
-        &[
-            ("speed_m_s", |row| row.speed_m_s),
-            ("dl_m", |row| row.dl_m),
-            ("spectral_radius", |row| row.spectral_radius),
-            ("delay_margin_s", |row| {
-                row.delay_margin_s.unwrap_or(f64::NAN)
-            }),
-            ("longest_constant_interval_s", |row| {
-                row.longest_constant_interval_s.unwrap_or(f64::NAN)
-            }),
-        ],
-    )
+    let header = "speed_m_s,dl_m,spectral_radius,delay_margin_s,longest_constant_interval_s";
+    Table::of(header, map)
 }
 
 /// The sampled loop at a speed and a dl.
