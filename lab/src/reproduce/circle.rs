@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use indicatif::ProgressBar;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, Start};
-use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol, Width};
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol};
 use singletrack_scenario::{
     simulate::{PlantKind, Row},
     tracking::{Sample, Tracking, last_turn},
@@ -407,7 +407,6 @@ fn lag_figure(drives: &Drives, plant: &str, lag: f64) -> Option<Figure> {
         "How far P is behind its reference",
         "The angle from P to its reference, seen from the centre of the circle.",
         Axis::new("lag of P", Some(Symbol::new("φ", "")), "rad"),
-        Width::Column,
         curves,
     ))
 }

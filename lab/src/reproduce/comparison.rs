@@ -7,7 +7,7 @@ use singletrack_control::{
     Motion, SingleTrack, SingleTrackState, VehicleParameters, Velocity, VelocityPointLaw,
 };
 use singletrack_core::config::LawKind;
-use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Width};
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel};
 
 use super::{
     Setup, assumptions,
@@ -426,12 +426,11 @@ fn parameter_plate(
             ..Panel::new(Axis::TIME, pictures::DEVIATION)
         })
     });
-    let figure = Figure {
-        title: "Deviation of P under the appendix's law with a wrong parameter".to_owned(),
-        caption: "How far P is from where two integrators would be.".to_owned(),
-        width: Width::Page,
-        panels: panels.collect(),
-    };
+    let figure = Figure::page(
+        "Deviation of P under the appendix's law with a wrong parameter",
+        "How far P is from where two integrators would be.",
+        panels.collect(),
+    );
     section.plate(
         "What a wrong parameter does under the appendix's law",
         "No figure: the text says that the law needs mass and cornering stiffnesses, and that its \

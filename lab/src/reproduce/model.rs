@@ -5,7 +5,7 @@ use std::path::Path;
 use indicatif::ProgressBar;
 use singletrack_analysis::identification::{Identification, Output, Parameter};
 use singletrack_control::{SlipAngles, Tyres, VehicleParameters};
-use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
+use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel};
 use singletrack_scenario::simulate::{self, Scenario};
 
 use super::{
@@ -436,12 +436,7 @@ fn many(study: &Study, section: &mut Section) {
         panels.push(Panel {
             title: symbol.to_owned(),
             estimates,
-            levels: vec![Level {
-                name: "truth".to_owned(),
-                value: 1.0,
-                label: String::new(),
-                look: Look::Truth,
-            }],
+            levels: vec![Level::new("truth", 1.0, Look::Truth)],
             ..Panel::new(
                 Axis::new("drive", None, "number"),
                 Axis::new("estimate over truth", None, "1"),
@@ -459,12 +454,11 @@ fn many(study: &Study, section: &mut Section) {
         vec![Picture::new(
             "model-estimates",
             "",
-            Figure {
-                title: "Estimates from many drives".to_owned(),
-                caption: "Each estimate over the truth, with its interval of 95 %.".to_owned(),
-                width: Width::Page,
+            Figure::page(
+                "Estimates from many drives",
+                "Each estimate over the truth, with its interval of 95 %.",
                 panels,
-            },
+            ),
         )],
     );
 }

@@ -6,7 +6,7 @@ use singletrack_analysis::stability::{
     smallest_point_distance,
 };
 use singletrack_control::VehicleParameters;
-use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Scale, Symbol, Width};
+use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol};
 
 use super::{
     Setup, assumptions,
@@ -99,25 +99,17 @@ const fn l1(point: &HopfPoint) -> f64 {
 fn lyapunov_picture(name: &str, curve: &[HopfPoint]) -> Picture {
     let speed: Column = curve.iter().map(|point| point.speed).collect();
     let coefficient = curve.iter().map(|point| point.lyapunov.matcont).collect();
-    let y = Axis {
-        scale: Scale::Log,
-        ..Axis::new(
-            "first Lyapunov coefficient",
-            Some(Symbol::new("l", "1")),
-            "",
-        )
-    };
-    let figure = Figure {
-        title: "First Lyapunov coefficient of all bifurcation points".to_owned(),
-        caption: "Along the curve of Hopf points, as MatCont counts it; above zero they are \
-                  subcritical."
-            .to_owned(),
-        width: Width::Column,
-        panels: vec![Panel {
+    let symbol = Some(Symbol::new("l", "1"));
+    let y = Axis::new("first Lyapunov coefficient", symbol, "").logarithmic();
+    let figure = Figure::column(
+        "First Lyapunov coefficient of all bifurcation points",
+        "Along the curve of Hopf points, as MatCont counts it; above zero they are \
+         subcritical.",
+        vec![Panel {
             curves: vec![Curve::new("Hopf points", Look::Actual, &speed, coefficient)],
             ..Panel::new(Axis::new("speed", Some(Symbol::new("v", "")), "m/s"), y)
         }],
-    };
+    );
     Picture::new(name, "l₁ of all bifurcation points", figure)
 }
 

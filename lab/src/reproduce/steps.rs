@@ -2,7 +2,7 @@
 
 use indicatif::ProgressBar;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
-use singletrack_figures::figure::{Curve, Figure, Look, Width};
+use singletrack_figures::figure::{Curve, Figure, Look};
 use singletrack_scenario::simulate::{MarkerLoss, PlantKind};
 use singletrack_statistics::RootMeanSquare;
 
@@ -453,7 +453,6 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
                 "Deviation of P with the centre of mass believed at the rear axle",
                 "How far the true P is from where two integrators would be.",
                 pictures::DEVIATION,
-                Width::Column,
                 curves,
             ),
         )],
