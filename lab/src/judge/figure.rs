@@ -37,40 +37,25 @@ pub(super) fn of(run: &Run) -> Figure {
     let fast = |value: &dyn Fn(&Compared) -> f64| {
         column(&|one| if one.is_fast() { value(one) } else { f64::NAN })
     };
-    let judged = |chosen: &dyn Fn(&Judged) -> bool| -> (Column, Column) {
-        let points: Vec<(f64, f64)> = run
-            .poses
-            .iter()
-            .filter(|judged| chosen(judged))
-            .filter_map(|judged| {
-                let innovation = judged.innovation?.max(1e-3);
-                Some((at(judged.seen.time), libm::log10(innovation)))
-            })
-            .collect();
-        (
-            points.iter().map(|point| point.0).collect(),
-            points.iter().map(|point| point.1).collect(),
-        )
-    };
-    let (x, y) = judged(&|judged| judged.verdict == Some(PoseVerdict::Accepted));
-    let mut innovations = Panel {
+    let accepted = |judged: &&Judged| judged.verdict == Some(PoseVerdict::Accepted);
+    let accepted = run.poses.iter().filter(accepted).filter_map(|judged| {
+        let innovation = judged.innovation?.max(1e-3);
+        Some((at(judged.seen.time), libm::log10(innovation)))
+    });
+    let (x, y): (Vec<f64>, Vec<f64>) = accepted.unzip();
+    let stops = run.stops.iter().map(|stop| Mark {
+        name: "stop",
+        point: [stop.t_s, 0.0],
+        kind: MarkKind::Found,
+    });
+    let nis = Axis::new("NIS of a pose, power of ten", None, "");
+    let innovations = Panel {
         begins_row: true,
         height_mm: 30.0,
-        curves: vec![Curve::new("estimate", Look::Nominal, &x, y)],
-        ..Panel::new(
-            Axis::TIME,
-            Axis::new("NIS of a pose, power of ten", None, ""),
-        )
+        curves: vec![Curve::new("estimate", Look::Nominal, &x.into(), y.into())],
+        marks: stops.collect(),
+        ..Panel::new(Axis::TIME, nis)
     };
-    innovations.marks = run
-        .stops
-        .iter()
-        .map(|stop| Mark {
-            name: "stop",
-            point: [stop.t_s, 0.0],
-            kind: MarkKind::Found,
-        })
-        .collect();
     Figure::page(
         "What the pilot would have said",
         "The estimate beside the cameras, smoothed with what came after; the normalised innovation \

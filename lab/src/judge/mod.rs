@@ -24,8 +24,7 @@ use crate::{Result, print};
 
 pub use bends::Bends;
 pub use run::Stop;
-pub use score::Noise;
-pub use score::Verdict;
+pub use score::{Noise, Verdict};
 
 use run::Log;
 
