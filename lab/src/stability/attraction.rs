@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::Attraction;
-use singletrack_campaign::{Progress, run_units, thread_count};
+use singletrack_campaign::{run_shown, thread_count};
 use singletrack_figures::output::print;
 
 use super::{
@@ -81,10 +81,8 @@ pub(super) fn run(args: &AttractionArgs) -> Result {
     };
     let speeds = args.speeds.values();
     let units: Vec<u64> = (0..speeds.len() as u64).collect();
-    let progress = Progress::new("attraction", units.len() as u64);
     let work = |unit: u64| of_speed(speeds[unit as usize]);
-    let found = run_units(&units, thread_count(), work, || progress.advance())?;
-    progress.finish();
+    let found = run_shown("attraction", &units, thread_count(), work)?;
     let found: Vec<_> = found.into_iter().map(|(_, found)| found).collect();
     if let Some(path) = &args.certificates {
         let proofs: Vec<Value> = found
