@@ -440,22 +440,19 @@ fn framed(plate: &Plate) -> String {
 }
 
 fn vehicle(reproduction: &Reproduction) -> String {
-    let VehicleParameters {
-        mass_kg: m,
-        yaw_inertia_kg_m2: i_z,
-        front_axle_distance_m: l_f,
-        rear_axle_distance_m: l_r,
-        friction,
-        front_cornering_stiffness_n_rad: c_f,
-        rear_cornering_stiffness_n_rad: c_r,
-    } = reproduction.setup.vehicle;
+    let car = &reproduction.setup.vehicle;
+    let [c_f, c_r] = [
+        car.front_cornering_stiffness_n_rad,
+        car.rear_cornering_stiffness_n_rad,
+    ];
+    let [l_f, l_r] = [car.front_axle_distance_m, car.rear_axle_distance_m];
     let p = reproduction.setup.point_distance_m();
     [
-        ("mass m", m, "kg"),
-        ("yaw moment of inertia I_z", i_z, "kg m²"),
+        ("mass m", car.mass_kg, "kg"),
+        ("yaw moment of inertia I_z", car.yaw_inertia_kg_m2, "kg m²"),
         ("centre of mass to front axle l_f", l_f, "m"),
         ("centre of mass to rear axle l_r", l_r, "m"),
-        ("friction μ", friction, ""),
+        ("friction μ", car.friction, ""),
         ("cornering stiffness, front C_f", c_f, "N/rad"),
         ("cornering stiffness, rear C_r", c_r, "N/rad"),
         ("distance p of P from the front axle", p, "m"),

@@ -2,8 +2,7 @@
 //! stretches of it that can be used.
 
 use nalgebra::{Matrix3, Vector3};
-use singletrack_control::words;
-use singletrack_control::wrap;
+use singletrack_control::{words, wrap};
 use singletrack_statistics::{Line, RootMeanSquare};
 
 use super::error::IdentificationError;
