@@ -472,7 +472,10 @@ fn vehicle(reproduction: &Reproduction) -> String {
 mod tests {
     use super::*;
     use crate::{
-        reproduce::{Setup, claims::near},
+        reproduce::{
+            Setup,
+            claims::{Scope, near},
+        },
         table::Table,
     };
 
@@ -542,7 +545,12 @@ mod tests {
     #[test]
     fn a_bar_in_a_cell_is_no_border_in_markdown() {
         let mut section = Section::new(2, "", "");
-        let claim = section.claim("deviation", "m", "2 |dl|", "none", "it is so");
+        let claim = section.claim(
+            ("deviation", Scope::AnyCar, "m"),
+            "2 |dl|",
+            "none",
+            "it is so",
+        );
         claim.judge(true);
         let table = markdown([&*claim].into_iter());
         assert!(
@@ -554,7 +562,12 @@ mod tests {
     #[test]
     fn an_unexpected_verdict_is_counted_and_marked() {
         let mut section = Section::new(2, "", "");
-        let claim = section.claim("deviation", "m", "The deviation", "1 m", "it is so");
+        let claim = section.claim(
+            ("deviation", Scope::AnyCar, "m"),
+            "The deviation",
+            "1 m",
+            "it is so",
+        );
         claim.number("ideal", 2.0, near(1.0, 0.1)).judge(true);
         let mut reproduction = reproduction();
         reproduction.sections.push(section);
