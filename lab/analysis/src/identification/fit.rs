@@ -223,9 +223,7 @@ impl Task<'_> {
     }
 
     pub(super) fn diverged(&self, u: &[f64]) -> IdentificationError {
-        IdentificationError::Diverged {
-            vehicle: self.values(u).vehicle(),
-        }
+        IdentificationError::Diverged(self.values(u).vehicle())
     }
 
     fn minimise(

@@ -294,10 +294,10 @@ fn check(fit: &Fit, estimates: &[Estimate]) -> Result<(), IdentificationError> {
         }
     }
     if !parameters.is_empty() {
-        return Err(IdentificationError::NotDetermined { parameters });
+        return Err(IdentificationError::NotDetermined(parameters));
     }
     if let Some(moved) = fit.unsettled {
-        return Err(IdentificationError::NotSettled { moved });
+        return Err(IdentificationError::NotSettled(moved));
     }
     estimates
         .iter()
