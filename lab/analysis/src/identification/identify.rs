@@ -49,8 +49,6 @@ pub struct Identification {
     pub score: Score,
     /// Reasons to doubt the estimates.
     pub warnings: Vec<Warning>,
-    /// Number of evaluations of the prediction errors.
-    pub evaluations: usize,
 }
 
 impl Identification {
@@ -182,7 +180,6 @@ fn identified(
         warnings,
         stretches,
         track: fit.run.track,
-        evaluations: fit.evaluations,
     })
 }
 

@@ -114,6 +114,7 @@ pub(super) struct Structure {
     pub(super) slip_angles: SlipAngles,
 }
 
+#[cfg(test)]
 impl From<Tyres> for Structure {
     fn from(tyres: Tyres) -> Self {
         Self {
