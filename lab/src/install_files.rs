@@ -29,13 +29,6 @@ pub enum CompletedShell {
 }
 
 impl CompletedShell {
-    /// All of them, with the folders of their files.
-    const ALL: [(Self, &str); 3] = [
-        (Self::Bash, "bash"),
-        (Self::Zsh, "zsh"),
-        (Self::Fish, "fish"),
-    ];
-
     const fn shell(self) -> Shell {
         match self {
             Self::Bash => Shell::Bash,
@@ -53,12 +46,8 @@ impl CompletedShell {
 /// When standard output can't be written; a closed pipe is no error.
 pub fn print(shell: CompletedShell, command: &Command) -> crate::Result {
     let mut text = Vec::new();
-    generate(
-        shell.shell(),
-        &mut singletrack(command),
-        "singletrack",
-        &mut text,
-    );
+    let mut command = singletrack(command);
+    generate(shell.shell(), &mut command, "singletrack", &mut text);
     crate::print(&String::from_utf8_lossy(&text))
 }
 
@@ -81,9 +70,10 @@ pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), String> {
         &singletrack_sim::Arguments::command(),
     ] {
         let name = command.get_name();
-        for (shell, folder) in CompletedShell::ALL {
-            write_to(&args.out.join(folder), |folder| {
-                generate_to(shell.shell(), &mut command.clone(), name, folder).map(drop)
+        for shell in CompletedShell::value_variants() {
+            let shell = shell.shell();
+            write_to(&args.out.join(shell.to_string()), |folder| {
+                generate_to(shell, &mut command.clone(), name, folder).map(drop)
             })?;
         }
         write_to(&args.out.join("man"), |folder| {

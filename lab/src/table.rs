@@ -1,5 +1,6 @@
 //! Tables of numbers.
 
+use serde::Serialize;
 use serde_json::{Map, Value, json};
 use singletrack_scenario::csv_text::csv_text;
 
@@ -12,17 +13,21 @@ pub struct Table {
     pub rows: Vec<Vec<f64>>,
 }
 
-/// The name of a column, and its value in a row.
-pub type Column<'a, R> = (&'a str, fn(&R) -> f64);
-
 impl Table {
-    /// The columns of some rows.
-    pub fn of<R>(rows: &[R], columns: &[Column<'_, R>]) -> Self {
-        let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
-        let values = |row| columns.iter().map(|(_, value)| value(row)).collect();
+    /// The columns with these names, separated by commas: fields of the rows. A truth is 1 or 0.
+    pub fn of(header: &str, rows: &[impl Serialize]) -> Self {
+        let number = |value: &Value| match value {
+            Value::Bool(is) => f64::from(u8::from(*is)),
+            value => value.as_f64().unwrap_or(f64::NAN),
+        };
+        let row = |row| {
+            let fields = json!(row);
+            let names = header.split(',');
+            names.map(|name| number(&fields[name])).collect()
+        };
         Self {
-            header: names.join(","),
-            rows: rows.iter().map(values).collect(),
+            header: header.to_owned(),
+            rows: rows.iter().map(row).collect(),
         }
     }
 

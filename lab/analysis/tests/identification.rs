@@ -250,17 +250,14 @@ fn sensors_that_contradict_each_other_are_named_before_anything_is_fitted() {
             pose.y_m *= 1e3;
         }
     });
-    assert!(
-        matches!(error, IdentificationError::TooFast { .. }),
-        "{error}"
-    );
+    assert!(matches!(error, IdentificationError::TooFast(_)), "{error}");
     let error = with(|data| {
         for pose in &mut data.poses {
             pose.yaw_rad += 3.0;
         }
     });
     assert!(
-        matches!(error, IdentificationError::YawDiffers { .. }),
+        matches!(error, IdentificationError::YawDiffers(_)),
         "{error}"
     );
     let error = with(|data| {
@@ -269,7 +266,7 @@ fn sensors_that_contradict_each_other_are_named_before_anything_is_fitted() {
         }
     });
     assert!(
-        matches!(error, IdentificationError::GyroDiffers { ratio } if ratio < -0.9),
+        matches!(error, IdentificationError::GyroDiffers(ratio) if ratio < -0.9),
         "{error}"
     );
     let error = with(|data| {
@@ -278,7 +275,7 @@ fn sensors_that_contradict_each_other_are_named_before_anything_is_fitted() {
         }
     });
     assert!(
-        matches!(error, IdentificationError::GyroDiffers { ratio } if ratio > 50.0),
+        matches!(error, IdentificationError::GyroDiffers(ratio) if ratio > 50.0),
         "{error}"
     );
     let error = with(|data| {
@@ -287,7 +284,7 @@ fn sensors_that_contradict_each_other_are_named_before_anything_is_fitted() {
         }
     });
     assert!(
-        matches!(error, IdentificationError::SteeringOpposes { .. }),
+        matches!(error, IdentificationError::SteeringOpposes(_)),
         "{error}"
     );
     let error = with(|data| {
@@ -295,7 +292,7 @@ fn sensors_that_contradict_each_other_are_named_before_anything_is_fitted() {
             sample.left_m_s2 = 0.0;
         }
     });
-    assert!(matches!(error, IdentificationError::Dead { .. }), "{error}");
+    assert!(matches!(error, IdentificationError::Dead(..)), "{error}");
 }
 
 #[test]
@@ -365,7 +362,7 @@ mod thorough {
             linear
                 .warnings
                 .iter()
-                .any(|warning| matches!(warning, Warning::LinearTyres { share } if *share > 0.5)),
+                .any(|warning| matches!(warning, Warning::LinearTyres(share) if *share > 0.5)),
             "{:?}",
             linear.warnings
         );
@@ -436,7 +433,7 @@ mod thorough {
         };
         let data = course.drive();
         let found = identify(&data, &wrong, &settings(&Parameter::VEHICLE)).unwrap();
-        let unexplained = |warning: &Warning| matches!(warning, Warning::Unexplained { .. });
+        let unexplained = |warning: &Warning| matches!(warning, Warning::Unexplained(_));
         assert!(
             found.warnings.iter().any(unexplained),
             "{:?} {:?}",
@@ -465,7 +462,7 @@ mod thorough {
         )
         .unwrap();
         assert!(
-            matches!(short.warnings[..], [Warning::Short { seconds }] if (7.0..8.0).contains(&seconds)),
+            matches!(short.warnings[..], [Warning::Short(seconds)] if (7.0..8.0).contains(&seconds)),
             "{:?}",
             short.warnings
         );
@@ -477,7 +474,7 @@ mod thorough {
         assert!(
             slow.warnings
                 .iter()
-                .any(|warning| matches!(warning, Warning::Slow { .. })),
+                .any(|warning| matches!(warning, Warning::Slow(_))),
             "{:?}",
             slow.warnings
         );
@@ -629,7 +626,7 @@ mod thorough {
             Ok(found) => assert!(
                 found.warnings.iter().any(|warning| matches!(
                     warning,
-                    Warning::Unfitted { output, .. } if output.name() == "left_acceleration"
+                    Warning::Unfitted(output, _) if output.name() == "left_acceleration"
                 )),
                 "{:?}",
                 found.warnings
@@ -652,8 +649,8 @@ mod thorough {
             matches!(
                 error,
                 IdentificationError::AtBound { .. }
-                    | IdentificationError::NotSettled { .. }
-                    | IdentificationError::Diverged { .. }
+                    | IdentificationError::NotSettled(_)
+                    | IdentificationError::Diverged(_)
             ),
             "{error}"
         );
@@ -765,7 +762,7 @@ mod thorough {
             ..Course::weaving(5, 12.0)
         };
         let error = identify(&course.drive(), &course.vehicle, &Settings::default()).unwrap_err();
-        let IdentificationError::NotDetermined { parameters } = &error else {
+        let IdentificationError::NotDetermined(parameters) = &error else {
             panic!("{error}");
         };
         assert!(parameters.contains(&Parameter::FrontStiffness), "{error}");

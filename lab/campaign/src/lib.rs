@@ -22,7 +22,7 @@ mod shard;
 
 pub use file::{FORMAT, Header, ResultFile};
 pub use merge::{MergeArgs, merge, merge_files, run_merge};
-pub use run::{Campaign, CampaignArgs, Progress};
+pub use run::{Campaign, CampaignArgs, run_shown};
 pub use shard::{Experiment, Results, Shard, ShardError, run_units, thread_count};
 
 /// A value, or a sentence for the user about why there is none.

@@ -45,15 +45,8 @@ impl<E: Experiment> Campaign<E> {
             ResultFile::check_writable(path)?;
         }
         let units: Vec<u64> = shard.units(experiment.units()).collect();
-        let progress = Progress::new(E::NAME, units.len() as u64);
-        let results = run_units(
-            &units,
-            arguments.threads(),
-            |unit| experiment.run(unit),
-            || progress.advance(),
-        );
-        progress.finish();
-        let results = results?;
+        let work = |unit| experiment.run(unit);
+        let results = run_shown(E::NAME, &units, arguments.threads(), work)?;
         if let Some(path) = &arguments.json {
             let header = Header::of(&experiment, shard)?;
             ResultFile::of(header, &results)?.write(path)?;
@@ -121,55 +114,36 @@ impl CampaignArgs {
 /// Interval of the lines in a log.
 const LINE_INTERVAL: Duration = Duration::from_secs(60);
 
-/// A bar on a terminal, and a line a minute in a log, as the job of a cluster has it.
-#[derive(Debug)]
-pub struct Progress {
-    name: &'static str,
-    bar: ProgressBar,
-    /// When the next line is due; `None` on a terminal.
-    next_line: Option<Mutex<Instant>>,
-}
-
-impl Progress {
-    /// For `length` units.
-    pub fn new(name: &'static str, length: u64) -> Self {
-        let bar = ProgressBar::new(length);
-        if let Ok(style) =
-            ProgressStyle::with_template("{bar:30} {pos}/{len}, {per_sec}, {eta} left")
-        {
-            bar.set_style(style);
-        }
-        let next_line =
-            (!io::stderr().is_terminal()).then(|| Mutex::new(Instant::now() + LINE_INTERVAL));
-        Self {
-            name,
-            bar,
-            next_line,
-        }
+/// Runs units as [`run_units`] does, with a bar on a terminal, and a line a minute in a log, as the job
+/// of a cluster has it.
+///
+/// # Errors
+///
+/// The first error of `work`.
+pub fn run_shown<R: Send, E: Send>(
+    name: &str,
+    units: &[u64],
+    threads: usize,
+    work: impl Fn(u64) -> Result<R, E> + Sync,
+) -> Result<Vec<(u64, R)>, E> {
+    let bar = ProgressBar::new(units.len() as u64);
+    let template = "{bar:30} {pos}/{len}, {per_sec}, {eta} left";
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
     }
-
-    /// A unit is done.
-    pub fn advance(&self) {
-        self.bar.inc(1);
-        let Some(next) = &self.next_line else {
-            return;
-        };
-        let mut next = next.lock().unwrap_or_else(PoisonError::into_inner);
-        if Instant::now() >= *next {
+    let is_log = !io::stderr().is_terminal();
+    let next_line = Mutex::new(Instant::now() + LINE_INTERVAL);
+    let results = run_units(units, threads, work, || {
+        bar.inc(1);
+        let mut next = next_line.lock().unwrap_or_else(PoisonError::into_inner);
+        if is_log && Instant::now() >= *next {
             *next += LINE_INTERVAL;
-            let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0));
+            let (done, all, seconds) = (bar.position(), units.len(), bar.elapsed().as_secs_f64());
+            let line = format!("{name}: {done} of {all} after {seconds:.0} s");
             // Standard error may be closed.
-            let _ = writeln!(
-                io::stderr().lock(),
-                "{}: {done} of {all} after {:.0} s",
-                self.name,
-                self.bar.elapsed().as_secs_f64()
-            );
+            let _ = writeln!(io::stderr().lock(), "{line}");
         }
-    }
-
-    /// The end.
-    pub fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
+    });
+    bar.finish_and_clear();
+    results
 }

@@ -48,7 +48,7 @@ pub fn description(unit: Unit) -> String {
 
 /// The element of a variable.
 fn element((reference, variable): (usize, &&Variable)) -> String {
-    let Variable(name, role, start, unit, meaning) = variable;
+    let Variable(name, role, start, unit, meaning, ..) = variable;
     let kind = start.kind();
     let mut attributes =
         format!("name=\"{name}\" valueReference=\"{reference}\" description=\"{meaning}\"");

@@ -163,7 +163,7 @@ impl Instance {
 
     /// Sets an input, or a parameter before the first step.
     pub(crate) fn set(&mut self, reference: u32, value: Value) -> Result<(), Failure> {
-        let Variable(name, role, old, unit, _) = self.variable(reference)?;
+        let Variable(name, role, old, unit, ..) = self.variable(reference)?;
         let (kind, given) = (old.kind(), value.kind());
         if kind != given {
             fail!(

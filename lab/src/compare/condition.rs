@@ -1,8 +1,7 @@
 //! What is different from a calibrated car with good cameras.
 
 use clap::ValueEnum;
-use singletrack_control::VehicleParameters;
-use singletrack_control::words;
+use singletrack_control::{VehicleParameters, words};
 use singletrack_sim::SimulationConfig;
 
 words! {

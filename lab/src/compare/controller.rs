@@ -9,7 +9,7 @@ use singletrack_core::config::{
     LqiWeights, MpcWeights, OuterLoopSection, OwnLoopSection, own_loops,
 };
 
-use super::{condition::Condition, counted::OwnPoint, foreign::Law};
+use super::{counted::OwnPoint, foreign::Law};
 
 words! {
     /// A controller of this repository.
@@ -77,14 +77,6 @@ impl Controller {
                 outer_loop: OuterLoopSection::Own(OwnLoopSection::new(name.into(), None, None)),
                 compensated: true,
             },
-        }
-    }
-
-    /// Whether it can drive under a condition.
-    pub(super) fn drives_under(self, condition: Condition) -> bool {
-        match self {
-            Self::Known(controller) => controller.drives_under(condition),
-            Self::Own(_) => true,
         }
     }
 }
@@ -259,15 +251,6 @@ impl ControllerName {
                 catch_up: 0.0,
                 compensated: true,
             },
-        }
-    }
-
-    /// Whether it can drive under a condition.
-    pub(super) fn drives_under(self, condition: Condition) -> bool {
-        match self {
-            // It drives the car, once with each seed.
-            Self::Yours => !matches!(condition, Condition::IdealPlant | Condition::AddedDelay),
-            _ => true,
         }
     }
 

@@ -1,8 +1,7 @@
 //! The paths of the comparison: reference, start, and what is counted.
 
 use clap::ValueEnum;
-use singletrack_control::words;
-use singletrack_control::{Reference, ReferencePoint};
+use singletrack_control::{Reference, ReferencePoint, words};
 use singletrack_core::{
     ConfigError,
     config::{PathPoints, ReferenceSection, Start, WaypointSection},

@@ -126,24 +126,6 @@ impl Ahead {
     }
 }
 
-/// Position of G in m, its motion, and speed in m/s.
-#[derive(Clone, Copy, Debug)]
-struct Pose {
-    position: [f64; 2],
-    motion: Motion,
-    speed: f64,
-}
-
-impl From<&Predicted> for Pose {
-    fn from(state: &Predicted) -> Self {
-        Self {
-            position: [state.position.x, state.position.y],
-            motion: state.motion,
-            speed: state.speed,
-        }
-    }
-}
-
 /// The least distance ahead of pure pursuit, in m.
 const LEAST_AHEAD: f64 = 0.2;
 /// Stanley's speed is no less in its formula, in m/s.
@@ -163,23 +145,22 @@ impl Foreign<'_> {
         let model = ahead.model;
         let correction = ahead.correction(known);
         let acts = known.time + state.ahead;
-        let [first, speed] = self.wanted(&Pose::from(&state), acts);
+        let [first, speed] = self.wanted(state.position, &state.motion, state.speed, acts);
         let rate = ((first - state.wheels) / period).clamp(-MOST_RATE, MOST_RATE);
-        let [next, _] = self.wanted(
-            &Pose::from(&state.after(period, rate, speed)),
-            acts + period,
-        );
+        let next = state.after(period, rate, speed);
+        let [next, _] = self.wanted(next.position, &next.motion, next.speed, acts + period);
         let rate = ((next - first) / period).clamp(-MOST_RATE, MOST_RATE);
         let steering = first + model.steering_lag * rate;
         // The motor acts later than the wheels.
         let later = (model.speed_dead_time - model.steering_dead_time).max(0.0);
         let state = state.after(later, rate, speed);
-        let [_, speed] = self.wanted(&Pose::from(&state), acts + later);
+        let [_, speed] = self.wanted(state.position, &state.motion, state.speed, acts + later);
         if let Some(ahead) = &mut self.compensation {
             ahead.planned.push_back((acts + later, speed));
         }
         let state = state.after(period, rate, speed);
-        let [_, next] = self.wanted(&Pose::from(&state), acts + later + period);
+        let acts = acts + later + period;
+        let [_, next] = self.wanted(state.position, &state.motion, state.speed, acts);
         let slope = ((next - speed) / period).clamp(-MOST_ACCELERATION, MOST_ACCELERATION);
         let speed = speed + model.speed_lag * slope + correction;
         [
@@ -193,31 +174,27 @@ impl Foreign<'_> {
     pub(super) fn command(&mut self, estimate: &Estimate, time: f64, ahead: f64) -> [f64; 2] {
         let course = estimate.yaw + estimate.sideslip;
         let way = ahead * estimate.speed;
-        let pose = Pose {
-            position: [
-                estimate.position.x + way * cos(course),
-                estimate.position.y + way * sin(course),
-            ],
-            motion: Motion {
-                yaw: estimate.yaw + ahead * estimate.yaw_rate,
-                yaw_rate: estimate.yaw_rate,
-                sideslip: estimate.sideslip,
-            },
-            speed: estimate.speed,
+        let g = estimate.position;
+        let g = Position::new(g.x + way * cos(course), g.y + way * sin(course));
+        let motion = Motion {
+            yaw: estimate.yaw + ahead * estimate.yaw_rate,
+            yaw_rate: estimate.yaw_rate,
+            sideslip: estimate.sideslip,
         };
-        self.wanted(&pose, time)
+        self.wanted(g, &motion, estimate.speed, time)
     }
 
-    /// The angle of the front wheels (rad) and the speed of G (m/s) by the law.
-    fn wanted(&mut self, pose: &Pose, time: f64) -> [f64; 2] {
-        let (g, yaw) = (pose.position, pose.motion.yaw);
+    /// The angle of the front wheels (rad) and the speed of G (m/s) by the law, for a car whose G is
+    /// there and moves like this, with a speed in m/s.
+    fn wanted(&mut self, g: Position, motion: &Motion, pace: f64, time: f64) -> [f64; 2] {
+        let yaw = motion.yaw;
         let rear = self.vehicle.rear_axle_distance_m;
         let front = self.vehicle.front_axle_distance_m;
         let own = match self.law {
             Law::PurePursuit { .. } => -rear,
             Law::Stanley { .. } | Law::Appendix { .. } => front,
         };
-        let point = [g[0] + own * cos(yaw), g[1] + own * sin(yaw)];
+        let point = [g.x + own * cos(yaw), g.y + own * sin(yaw)];
         self.index = self.table.nearest(point, self.index);
         let nearest = *self.table.get(self.index);
         let wanted = self.table.at(time);
@@ -227,7 +204,7 @@ impl Foreign<'_> {
         let wheelbase = rear + front;
         let (steering, rear_speed) = match self.law {
             Law::PurePursuit { time } => {
-                let ahead = LEAST_AHEAD.max(time * pose.speed);
+                let ahead = LEAST_AHEAD.max(time * pace);
                 let target = self.table.get(self.table.find(nearest.way + ahead));
                 let [x, y] = [0, 1].map(|axis| target.position[axis] - point[axis]);
                 let distance = hypot(x, y).max(0.5 * LEAST_AHEAD);
@@ -237,12 +214,12 @@ impl Foreign<'_> {
             Law::Stanley { gain } => {
                 let [x, y] = [0, 1].map(|axis| point[axis] - nearest.position[axis]);
                 let left = y * cos(nearest.heading) - x * sin(nearest.heading);
-                let towards = atan(-gain * left / pose.speed.max(LEAST_SPEED));
+                let towards = atan(-gain * left / pace.max(LEAST_SPEED));
                 let steering = wrap(nearest.heading - yaw) + towards;
                 let steering = steering.clamp(-MOST_STEERING, MOST_STEERING);
                 (steering, speed * cos(steering))
             }
-            Law::Appendix { gain } => return self.appendix(pose, time, gain),
+            Law::Appendix { gain } => return self.appendix(&g, motion, time, gain),
         };
         let steering = steering.clamp(-MOST_STEERING, MOST_STEERING);
         let sideslip = atan(rear * tan(steering) / wheelbase);
@@ -250,7 +227,7 @@ impl Foreign<'_> {
     }
 
     /// The same by the law of the appendix; straight on where it is singular, near standstill.
-    fn appendix(&self, pose: &Pose, time: f64, gain: f64) -> [f64; 2] {
+    fn appendix(&self, g: &Position, motion: &Motion, time: f64, gain: f64) -> [f64; 2] {
         let Ok(law) = VelocityPointLaw::new(self.vehicle, POINT_DISTANCE_M) else {
             return [0.0; 2];
         };
@@ -258,10 +235,9 @@ impl Foreign<'_> {
             gain: Velocity::new(gain, gain),
             feed_forward: true,
         };
-        let [x, y] = pose.position;
-        let point = law.point(Position::new(x, y), pose.motion.yaw, pose.motion.sideslip);
+        let point = law.point(*g, motion.yaw, motion.sideslip);
         let wanted = tracking.velocity(&self.table.reference.at(time), &point);
-        match law.command(&pose.motion, &wanted) {
+        match law.command(motion, &wanted) {
             Ok(command) => [
                 command.steering.clamp(-MOST_STEERING, MOST_STEERING),
                 command.speed.clamp(0.0, MOST_SPEED),

@@ -1,9 +1,9 @@
 //! What is compared: the rows, the drives of each, and the tuning of the controllers.
 
-use std::fmt::{Display, Write as _};
+use std::fmt::Display;
 
 use serde::{Deserialize, Serialize};
-use singletrack_campaign::{Experiment, Progress, run_units};
+use singletrack_campaign::{Experiment, run_shown};
 use singletrack_control::Reference;
 
 use super::{
@@ -142,11 +142,15 @@ impl Comparison {
     }
 }
 
-/// Whether a row has a meaning. On a circle that no car can drive there is nothing to diverge
-/// from.
+/// Whether a row has a meaning. A program's own controller drives the car, once with each seed. On a
+/// circle that no car can drive there is nothing to diverge from.
 fn is_driven(controller: Controller, path: PathName, condition: Condition) -> bool {
-    let searched = condition == Condition::AddedDelay;
-    controller.drives_under(condition) && !(searched && path == PathName::InfeasibleCircle)
+    let is_yours = controller == ControllerName::Yours.into();
+    match condition {
+        Condition::IdealPlant => !is_yours,
+        Condition::AddedDelay => !is_yours && path != PathName::InfeasibleCircle,
+        _ => true,
+    }
 }
 
 /// Says which drive failed.
@@ -186,13 +190,6 @@ const DRIVES: [(PathName, f64); 4] = [
 /// What a drive that stops costs, in m.
 const STOPPED_M: f64 = 1.0;
 
-/// What a controller came to.
-#[derive(Clone, Copy, Debug)]
-struct Tried {
-    controller: ControllerName,
-    parameters: [f64; 2],
-}
-
 /// Tunes the controllers, and returns a table.
 ///
 /// # Errors
@@ -207,50 +204,33 @@ pub(super) fn tune(controllers: &[Controller], threads: usize) -> Result<String>
         });
     let mut tried = Vec::new();
     for controller in controllers.clone() {
-        let Some([first, second]) = controller.tried() else {
-            continue;
-        };
+        let [first, second] = controller.tried().unwrap_or_default();
         for &a in first {
-            tried.extend(second.iter().map(|&b| Tried {
-                controller,
-                parameters: [a, b],
-            }));
+            tried.extend(second.iter().map(|&b| (controller, [a, b])));
         }
     }
     let units: Vec<u64> = (0..tried.len() as u64).collect();
-    let progress = Progress::new("tune", units.len() as u64);
-    let costs = run_units(
-        &units,
-        threads,
-        |unit| cost(&tried[unit as usize]),
-        || progress.advance(),
-    );
-    progress.finish();
-    let costs = costs?;
+    let work = |unit: u64| cost(tried[unit as usize]);
+    let costs = run_shown("tune", &units, threads, work)?;
     let mut text = "| controller | parameters | mean RMS (mm) |\n|---|---|---|\n".to_owned();
     for controller in controllers {
         let of_it = tried.iter().zip(&costs);
-        let of_it = of_it.filter(|(tried, _)| tried.controller == controller);
+        let of_it = of_it.filter(|((tried, _), _)| *tried == controller);
         let best = of_it.min_by(|(_, (_, a)), (_, (_, b))| a.total_cmp(b));
-        if let Some((tried, (_, cost))) = best {
-            // Writing to a string does not fail.
-            let _ = writeln!(
-                text,
-                "| {controller} | {:?} | {:.2} |",
-                tried.parameters,
-                1e3 * cost
-            );
+        if let Some(((_, parameters), (_, cost))) = best {
+            let cost_mm = 1e3 * cost;
+            text += &format!("| {controller} | {parameters:?} | {cost_mm:.2} |\n");
         }
     }
     Ok(text)
 }
 
 /// The mean of the root mean squares over the drives, in m.
-fn cost(tried: &Tried) -> Result<f64> {
+fn cost((controller, parameters): (ControllerName, [f64; 2])) -> Result<f64> {
     let mut sum = 0.0;
     for (path, speed_m_s) in DRIVES {
         let case = Case {
-            drives: tried.controller.with(tried.parameters),
+            drives: controller.with(parameters),
             path,
             speed_m_s,
             condition: Condition::Nominal,

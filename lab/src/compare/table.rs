@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt::Write as _};
 
-use singletrack_figures::figure::{Axis, Estimate, Figure, Mark, MarkKind, Panel, Scale, Width};
+use singletrack_figures::figure::{Axis, Estimate, Figure, Mark, MarkKind, Panel};
 use singletrack_statistics::{Distribution, Random};
 
 use super::{
@@ -399,23 +399,20 @@ pub fn figure(lines: &[Line]) -> Option<Figure> {
     let panels: Vec<Panel> = panels
         .map(|lines| panel(lines, &controllers, &speeds))
         .collect();
-    (!panels.is_empty()).then(|| Figure {
-        title: "RMS distance of the front axle".to_owned(),
-        caption: "Root mean square of the distance of the front axle from the path, mean over the \
-                  seeds with its 95 % interval, condition nominal."
-            .to_owned(),
-        width: Width::Page,
-        panels,
+    (!panels.is_empty()).then(|| {
+        Figure::page(
+            "RMS distance of the front axle",
+            "Root mean square of the distance of the front axle from the path, mean over the \
+             seeds with its 95 % interval, condition nominal.",
+            panels,
+        )
     })
 }
 
 fn panel(lines: &[&Line], controllers: &[&str], speeds: &[f64]) -> Panel {
     let mut panel = Panel::new(
         Axis::new("", None, ""),
-        Axis {
-            scale: Scale::Log,
-            ..Axis::new("RMS distance", None, "mm")
-        },
+        Axis::new("RMS distance", None, "mm").logarithmic(),
     );
     panel.begins_row = true;
     panel.height_mm = HEIGHT_MM;

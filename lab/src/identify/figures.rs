@@ -4,9 +4,7 @@
 use std::sync::Arc;
 
 use singletrack_analysis::identification::{Channel, Residuals, SimulationPoint};
-use singletrack_figures::figure::{
-    Axis, Bar, Column, Curve, Figure, Level, Look, Panel, Symbol, Width,
-};
+use singletrack_figures::figure::{Axis, Bar, Column, Curve, Figure, Level, Look, Panel, Symbol};
 
 use super::{Identified, Report};
 
@@ -93,20 +91,19 @@ fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
         begins_row: true,
         ..Panel::floor("G")
     };
-    Figure {
-        title: "Inputs and trajectory".to_owned(),
-        caption: format!(
+    Figure::page(
+        "Inputs and trajectory",
+        format!(
             "Part of {which}: speed by the cameras and the accelerometer, steering angle of the \
              servo's model, and the path of G as measured and as the model drives it from the \
              first pose on without correction."
         ),
-        width: Width::Page,
-        panels: vec![
+        vec![
             over_time("speed", "v", "m/s", |point| point.speed_m_s),
             over_time("steering", "δ", "rad", |point| point.steering_rad),
             trajectory,
         ],
-    }
+    )
 }
 
 /// The paper's figure of the states.
@@ -144,16 +141,15 @@ fn states(points: &[SimulationPoint], which: &str) -> Figure {
     if let Some(third) = panels.get_mut(2) {
         third.begins_row = true;
     }
-    Figure {
-        title: "Measured and simulated states".to_owned(),
-        caption: format!(
+    Figure::page(
+        "Measured and simulated states",
+        format!(
             "Part of {which}: yaw by the cameras, yaw rate by the gyro, sideslip by the cameras \
              alone and acceleration to the left by the IMU, beside the model that is given the \
              speed and the servo's pulses and nothing else."
         ),
-        width: Width::Page,
         panels,
-    }
+    )
 }
 
 const fn named(channel: Channel) -> &'static str {
@@ -176,13 +172,7 @@ fn errors(residuals: &[Residuals]) -> Figure {
             begins_row: index > 0,
             height_mm: 24.0,
             curves: vec![Curve::new("prediction error", Look::Measured, &x, y)],
-            ..Panel::new(
-                Axis::TIME,
-                Axis {
-                    include: Some(4.0),
-                    ..Axis::new("error", None, "σ")
-                },
-            )
+            ..Panel::new(Axis::TIME, Axis::new("error", None, "σ").including(4.0))
         };
         let bars = residuals.autocorrelation.iter().zip(1..);
         let bars = bars.map(|(height, lag)| {
@@ -196,30 +186,24 @@ fn errors(residuals: &[Residuals]) -> Figure {
         let memory = Panel {
             height_mm: 24.0,
             bars: bars.collect(),
-            levels: vec![Level {
-                name: "by chance, 95 %".to_owned(),
-                value: 1.96 / count.sqrt(),
-                label: String::new(),
-                look: Look::RangeEnd,
-            }],
+            levels: vec![Level::new(
+                "by chance, 95 %",
+                1.96 / count.sqrt(),
+                Look::RangeEnd,
+            )],
             ..Panel::new(
                 Axis::new("lag", None, "samples"),
-                Axis {
-                    include: Some(0.1),
-                    ..Axis::new("|autocorrelation|", None, "")
-                },
+                Axis::new("|autocorrelation|", None, "").including(0.1),
             )
         };
         [over_time, memory]
     });
-    Figure {
-        title: "Prediction errors".to_owned(),
-        caption: "What was measured less what was predicted from everything before, over the \
-                  standard deviation that it should have, and how much of it can be told from \
-                  the errors before. If the model is right, nineteen of twenty are within two, \
-                  and nothing can be told."
-            .to_owned(),
-        width: Width::Page,
-        panels: panels.collect(),
-    }
+    Figure::page(
+        "Prediction errors",
+        "What was measured less what was predicted from everything before, over the \
+         standard deviation that it should have, and how much of it can be told from \
+         the errors before. If the model is right, nineteen of twenty are within two, \
+         and nothing can be told.",
+        panels.collect(),
+    )
 }

@@ -5,7 +5,7 @@ use core::f64::consts::{PI, TAU};
 use singletrack_commissioning::seen::ghosts_of;
 use singletrack_control::{PoseVerdict, Time};
 use singletrack_figures::figure::{
-    Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Scale, Symbol, Width,
+    Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol,
 };
 
 use super::{
@@ -14,10 +14,7 @@ use super::{
 };
 
 /// Time from the first pose, the same on every panel.
-const FROM_START: Axis = Axis {
-    include: Some(0.0),
-    ..Axis::TIME
-};
+const FROM_START: Axis = Axis::TIME.including(0.0);
 
 /// Estimate and cameras, and the innovations of the poses.
 pub(super) fn of(run: &Run) -> Figure {
@@ -40,50 +37,32 @@ pub(super) fn of(run: &Run) -> Figure {
     let fast = |value: &dyn Fn(&Compared) -> f64| {
         column(&|one| if one.is_fast() { value(one) } else { f64::NAN })
     };
-    let judged = |chosen: &dyn Fn(&Judged) -> bool| -> (Column, Column) {
-        let points: Vec<(f64, f64)> = run
-            .poses
-            .iter()
-            .filter(|judged| chosen(judged))
-            .filter_map(|judged| {
-                let innovation = judged.innovation?.max(1e-3);
-                Some((at(judged.seen.time), libm::log10(innovation)))
-            })
-            .collect();
-        (
-            points.iter().map(|point| point.0).collect(),
-            points.iter().map(|point| point.1).collect(),
-        )
-    };
-    let (x, y) = judged(&|judged| judged.verdict == Some(PoseVerdict::Accepted));
-    let mut innovations = Panel {
+    let accepted = |judged: &&Judged| judged.verdict == Some(PoseVerdict::Accepted);
+    let accepted = run.poses.iter().filter(accepted).filter_map(|judged| {
+        let innovation = judged.innovation?.max(1e-3);
+        Some((at(judged.seen.time), libm::log10(innovation)))
+    });
+    let (x, y): (Vec<f64>, Vec<f64>) = accepted.unzip();
+    let stops = run.stops.iter().map(|stop| Mark {
+        name: "stop",
+        point: [stop.t_s, 0.0],
+        kind: MarkKind::Found,
+    });
+    let nis = Axis::new("NIS of a pose, power of ten", None, "");
+    let innovations = Panel {
         begins_row: true,
         height_mm: 30.0,
-        curves: vec![Curve::new("estimate", Look::Nominal, &x, y)],
-        ..Panel::new(
-            Axis::TIME,
-            Axis::new("NIS of a pose, power of ten", None, ""),
-        )
+        curves: vec![Curve::new("estimate", Look::Nominal, &x.into(), y.into())],
+        marks: stops.collect(),
+        ..Panel::new(Axis::TIME, nis)
     };
-    innovations.marks = run
-        .stops
-        .iter()
-        .map(|stop| Mark {
-            name: "stop",
-            point: [stop.t_s, 0.0],
-            kind: MarkKind::Found,
-        })
-        .collect();
-    Figure {
-        title: "What the pilot would have said".to_owned(),
-        caption:
-            "The estimate beside the cameras, smoothed with what came after; the normalised innovation \
-                  squared of each accepted pose, and how often it is larger than a value, beside what it \
-                  is for innovations as stated; and the noise of accelerometer and gyro while the car \
-                  moves, by what they measure beyond the cameras."
-                .to_owned(),
-        width: Width::Page,
-        panels: vec![
+    Figure::page(
+        "What the pilot would have said",
+        "The estimate beside the cameras, smoothed with what came after; the normalised innovation \
+         squared of each accepted pose, and how often it is larger than a value, beside what it \
+         is for innovations as stated; and the noise of accelerometer and gyro while the car \
+         moves, by what they measure beyond the cameras.",
+        vec![
             panel(
                 Axis::new("speed", Some(Symbol::new("v", "")), "m/s"),
                 column(&|one| one.truth.speed()),
@@ -103,7 +82,7 @@ pub(super) fn of(run: &Run) -> Figure {
             distribution(run),
             spectra(run),
         ],
-    }
+    )
 }
 
 /// How often the NIS of a pose is larger than a value.
@@ -127,10 +106,7 @@ fn distribution(run: &Run) -> Panel {
     let shown = |share: f64| if share < least { f64::NAN } else { share };
     let share = values.iter().map(|value| shown(larger(*value))).collect();
     let stated = values.iter().map(|value| shown(chi_square_3(*value)));
-    let logarithmic = |quantity| Axis {
-        scale: Scale::Log,
-        ..Axis::new(quantity, None, "")
-    };
+    let logarithmic = |quantity| Axis::new(quantity, None, "").logarithmic();
     Panel {
         begins_row: true,
         height_mm: 40.0,
@@ -168,10 +144,7 @@ fn spectra(run: &Run) -> Panel {
         ],
         ..Panel::new(
             Axis::new("frequency", Some(Symbol::new("f", "")), "Hz"),
-            Axis {
-                scale: Scale::Log,
-                ..Axis::new("noise", None, "1/\u{221a}Hz")
-            },
+            Axis::new("noise", None, "1/\u{221a}Hz").logarithmic(),
         )
     }
 }

@@ -15,7 +15,7 @@ use std::{
 };
 
 use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
+use singletrack::progress::progress_bar;
 use singletrack_core::Config;
 use singletrack_figures::figure::Figure;
 use singletrack_record::Reader;
@@ -24,8 +24,7 @@ use crate::{Result, print};
 
 pub use bends::Bends;
 pub use run::Stop;
-pub use score::Noise;
-pub use score::Verdict;
+pub use score::{Noise, Verdict};
 
 use run::Log;
 
@@ -147,11 +146,7 @@ pub fn run(args: &JudgeArgs) -> Result {
         to_s: args.to.unwrap_or(f64::INFINITY),
         cameras_hz: args.cameras_hz,
     };
-    // Hidden when standard error is no terminal.
-    let bar = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {pos} ticks judged") {
-        bar.set_style(style);
-    }
+    let bar = progress_bar(0, "{bar:30} {percent:>3} %  {pos} ticks judged");
     let result = judge(&args.record, &config, part, |tick, ticks| {
         if tick.is_multiple_of(500) {
             bar.set_length(ticks as u64);

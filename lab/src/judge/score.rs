@@ -88,40 +88,29 @@ pub(super) fn noise(
     let moving = moving.unwrap_or(config.acceleration_noise_density);
     let motor = inertial.motor_configured.value();
     let motor = motor.unwrap_or(config.motor_speed_noise);
-    let number = |sensor, unit, measured: Option<f64>, configured| Noise {
+    let standing = config.acceleration_noise_density;
+    let gyro = config.gyro_noise_density;
+    let density = "m/s2/sqrt(Hz)";
+    let all = [
+        ("pose_position", "m", position, config.position_noise),
+        ("pose_yaw", "rad", yaw, config.yaw_noise),
+        (
+            "accelerometer_standing",
+            density,
+            inertial.standing,
+            standing,
+        ),
+        ("accelerometer_moving", density, inertial.moving, moving),
+        ("gyro", "rad/s/sqrt(Hz)", inertial.gyro, gyro),
+        ("motor_speed", "m/s", inertial.motor, motor),
+    ];
+    let noise = all.map(|(sensor, unit, measured, configured)| Noise {
         sensor,
         unit,
-        measured: measured.filter(|value| value.is_finite()),
+        measured: measured.value().filter(|value| value.is_finite()),
         configured,
-    };
-    vec![
-        number(
-            "pose_position",
-            "m",
-            position.value(),
-            config.position_noise,
-        ),
-        number("pose_yaw", "rad", yaw.value(), config.yaw_noise),
-        number(
-            "accelerometer_standing",
-            "m/s2/sqrt(Hz)",
-            inertial.standing.value(),
-            config.acceleration_noise_density,
-        ),
-        number(
-            "accelerometer_moving",
-            "m/s2/sqrt(Hz)",
-            inertial.moving.value(),
-            moving,
-        ),
-        number(
-            "gyro",
-            "rad/s/sqrt(Hz)",
-            inertial.gyro.value(),
-            config.gyro_noise_density,
-        ),
-        number("motor_speed", "m/s", inertial.motor.value(), motor),
-    ]
+    });
+    noise.to_vec()
 }
 
 /// Densities of the noise of the IMU, over spans in which the car stood or moved.

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use indicatif::ProgressBar;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, Start};
-use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol, Width};
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol};
 use singletrack_scenario::{
     simulate::{PlantKind, Row},
     tracking::{Sample, Tracking, last_turn},
@@ -172,8 +172,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             .map(|((label, plant), tolerance)| (label, plant, tolerance))
     };
     let claim = section.claim(
-        "circle-converges",
-        "m, rad",
+        ("circle-converges", Scope::AnyCar, "m, rad"),
         "P converges to the path, wherever it starts",
         "\"guarantees the convergence to the desired trajectory even in this situation\": all \
          starts end alike",
@@ -183,8 +182,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         claim.number(label, spread(drives, plant), near(0.0, tolerance));
     }
     let claim = section.claim(
-        "circle-amplitude",
-        "m",
+        ("circle-amplitude", Scope::AnyCar, "m"),
         "Reference and actual position have the same amplitude",
         format!("\"sinusoids with the same amplitude\": {}", metres(radius)),
         format!(
@@ -199,8 +197,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         claim.slip(label, value, same, near(reach, tolerance * radius));
     }
     let claim = section.claim(
-        "circle-lag",
-        "rad",
+        ("circle-lag", Scope::AnyCar, "rad"),
         "The delay comes from the start outside the path",
         "\"as the vehicle starts outside the desired path\": a start on the path would have none",
         format!(
@@ -216,8 +213,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         claim.slip(label, value, near(0.0, 0.01), near(behind, tolerance));
     }
     let claim = section.claim(
-        "circle-linear-tools",
-        "m",
+        ("circle-linear-tools", Scope::AnyCar, "m"),
         "Any tool of linear control can be put around the law",
         "\"any linear system tool can be applied\": with the reference's velocity fed forward two \
          integrators follow without error",
@@ -229,44 +225,35 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         claim.number(label, value, near(0.0, tolerance));
     }
     let apart = drives.get(LOST, "car").zip(drives.get("outside", "car"));
+    let apart = apart.map(|(lost, seen)| lost.largest_difference(seen));
     section
         .claim(
-            "circle-losses",
-            "m",
+            ("circle-losses", Scope::RealCar, "m"),
             "Holding the last pose does little harm on the circle, too",
             "\"robust to this disturbance as well\", said of the steps; the position traces of the \
              circle stand still now and then, too: taken as below 0.1 m",
             "a loss of 200 ms every 5 s, against the same drive without them",
         )
-        .of(Scope::RealCar)
-        .number(
-            "car",
-            apart.map(|(lost, seen)| lost.largest_difference(seen)),
-            below(0.1),
-        );
+        .number("car", apart, below(0.1));
     section
         .claim(
-            "circle-carpet",
-            "m",
+            ("circle-carpet", Scope::RealCar, "m"),
             "A circle of 1 m is driven on a carpet of 4 m²",
             "\"a four square meter carpet\", \"a radius of 1 m\": taken as a square, P within 2 m",
             "P goes round on 0.894 m and leaves 0.1 m; a car that followed the reference itself \
              would touch the edges, and a start outside of the circle is in a corner or off the \
              carpet",
         )
-        .of(Scope::RealCar)
         .number("reference", 2.0 * radius, near(2.0, 1e-9))
         .number("P", 2.0 * reach, below(2.0));
     let claim = section.claim(
-        "circle-satisfactory",
-        "m",
+        ("circle-satisfactory", Scope::Nobody, "m"),
         "The tracking of the circle is satisfactory",
         "\"satisfactory tracking performance even with a proportional position control law\"; no \
          number",
         "P stays 0.447 m from its reference, nearly half of the radius: r/√(1 + (K/ω)²). With the \
          reference's velocity fed forward it is zero",
     );
-    claim.of(Scope::Nobody);
     for (label, plant, tolerance) in plants(["ideal", "car"], [1e-3, 0.02]) {
         let value = of(drives, "outside", plant, error);
         claim.number(label, value, near(distance, tolerance));
@@ -407,7 +394,6 @@ fn lag_figure(drives: &Drives, plant: &str, lag: f64) -> Option<Figure> {
         "How far P is behind its reference",
         "The angle from P to its reference, seen from the centre of the circle.",
         Axis::new("lag of P", Some(Symbol::new("φ", "")), "rad"),
-        Width::Column,
         curves,
     ))
 }

@@ -153,11 +153,6 @@ impl Verdict {
 }
 
 impl Claim {
-    pub(super) fn of(&mut self, scope: Scope) -> &mut Self {
-        self.scope = scope;
-        self
-    }
-
     /// A number, and when it agrees with the paper. One that is not finite counts as not measured.
     pub(super) fn number(
         &mut self,
@@ -239,8 +234,9 @@ mod tests {
         paper_car: bool,
     ) -> (Verdict, bool) {
         let mut section = Section::new(3, "", "");
-        let claim = section.claim("amplitude", "m", "The amplitude", "1 m", "");
-        claim.of(scope).number("ideal", value, ONE);
+        let name = ("amplitude", scope, "m");
+        let claim = section.claim(name, "The amplitude", "1 m", "");
+        claim.number("ideal", value, ONE);
         claim.quantities[0].should_be = should_be;
         claim.judge(paper_car);
         (claim.verdict, claim.surprise.is_some())
@@ -305,7 +301,8 @@ mod tests {
             (None, Verdict::NotMeasured, "car was not measured"),
         ] {
             let mut section = Section::new(3, "", "");
-            let claim = section.claim("amplitude", "m", "The amplitude", "1 m", "");
+            let name = ("amplitude", Scope::AnyCar, "m");
+            let claim = section.claim(name, "The amplitude", "1 m", "");
             claim.number("ideal", 1.0, ONE).number("car", car, ONE);
             claim.judge(true);
             assert_eq!(claim.verdict, wanted);

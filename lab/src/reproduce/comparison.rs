@@ -7,7 +7,7 @@ use singletrack_control::{
     Motion, SingleTrack, SingleTrackState, VehicleParameters, Velocity, VelocityPointLaw,
 };
 use singletrack_core::config::LawKind;
-use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Width};
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel};
 
 use super::{
     Setup, assumptions,
@@ -79,12 +79,8 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     for (_, parameter) in PARAMETERS {
         for (sign, factor) in FACTORS {
             let believed = scaled(setup.vehicle, parameter, factor);
-            drive(
-                &format!("{parameter}-{sign}"),
-                appendix,
-                0.0,
-                Some(believed),
-            );
+            let case = format!("{parameter}-{sign}");
+            drive(&case, appendix, 0.0, Some(believed));
         }
     }
     let mut worst = Vec::new();
@@ -112,15 +108,10 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
         }
     }
     let stiffnesses = stiffnesses(setup);
-    claims(
-        setup,
-        &drives,
-        [Some(front), worst],
-        &stiffnesses,
-        &mut section,
-    );
+    let off = [Some(front), worst];
+    claims(setup, &drives, off, &stiffnesses, &mut section);
     plates(setup, &drives, &mut section);
-    parameter_plate(&drives, [Some(front), worst], &stiffnesses, &mut section);
+    parameter_plate(&drives, off, &stiffnesses, &mut section);
     section.table("compare-stiffnesses", stiffnesses);
     section
 }
@@ -140,11 +131,13 @@ fn claims(
 ) {
     let dl = DEVIATION_M * setup.scale();
     let percent = number(WRONG * 100.0);
+    let unstable = unstable(stiffnesses) as f64;
+    let under = |case| LAWS.map(|(_, law, _)| off(drives, case, law));
+    let [right, wrong] = ["right", "deviation"].map(under);
     let [proposed, appendix] = standstill(setup).map(|answers| f64::from(u8::from(answers)));
     section
         .claim(
-            "compare-standstill",
-            "",
+            ("compare-standstill", Scope::AnyCar, ""),
             "The appendix's law is singular at standstill, the proposed one is not",
             "\"singular when the vehicle velocity is equal to zero\"; answers (1) or not (0): 1 \
              and 0",
@@ -154,55 +147,34 @@ fn claims(
         .number("appendix's", appendix, near(0.0, 0.0));
     section
         .claim(
-            "compare-right",
-            "m",
+            ("compare-right", Scope::AnyCar, "m"),
             "With everything right both laws linearise their point exactly",
             "equations 7 and 11: deviation 0",
             "the open-loop steps on the ideal plant",
         )
-        .number(
-            "proposed",
-            off(drives, "right", "front-point"),
-            near(0.0, 1e-6),
-        )
-        .number(
-            "appendix's",
-            off(drives, "right", "velocity-point"),
-            near(0.0, 1e-6),
-        );
+        .number("proposed", right[0], near(0.0, 1e-6))
+        .number("appendix's", right[1], near(0.0, 1e-6));
     section
         .claim(
-            "compare-wrong-proposed",
-            "m",
+            ("compare-wrong-proposed", Scope::AnyCar, "m"),
             format!("The proposed law takes dl = {}", mm(dl)),
             "robust: at most 2 dl",
             "2 |dl sin(Δψ/2)|",
         )
-        .number(
-            "proposed",
-            off(drives, "deviation", "front-point"),
-            below(2.000_002 * dl),
-        );
+        .number("proposed", wrong[0], below(2.000_002 * dl));
     section
         .claim(
-            "compare-wrong-appendix",
-            "m",
+            ("compare-wrong-appendix", Scope::PaperCar, "m"),
             format!("The appendix's law does not take dl = {}", mm(dl)),
             "\"unsuitable in real cases\"; taken as off by more than a wheelbase on the same \
              steps",
             "at these speeds the motion is unstable with 10 mm: the steering diverges at the \
              first turn, until the speed is zero and the law has no answer",
         )
-        .of(Scope::PaperCar)
-        .number(
-            "appendix's",
-            off(drives, "deviation", "velocity-point"),
-            above(setup.vehicle.wheelbase_m()),
-        );
+        .number("appendix's", wrong[1], above(setup.vehicle.wheelbase_m()));
     section
         .claim(
-            "compare-parameters",
-            "m",
+            ("compare-parameters", Scope::AnyCar, "m"),
             "The proposed law depends on no parameter but the position of the centre of mass",
             format!(
                 "\"does not depend on any model parameter\": deviation 0 on cars with m, C_f \
@@ -213,8 +185,7 @@ fn claims(
         .number("proposed", parameters[0], near(0.0, 1e-6));
     section
         .claim(
-            "compare-parameters-appendix",
-            "m",
+            ("compare-parameters-appendix", Scope::PaperCar, "m"),
             "The appendix's law does depend on them",
             format!(
                 "\"requires an estimate of vehicle parameters\": off with m, C_f or C_r \
@@ -222,12 +193,10 @@ fn claims(
             ),
             "the worst of the six; the motion stays stable, but P is not where it should be",
         )
-        .of(Scope::PaperCar)
         .number("appendix's", parameters[1], above(0.01));
     section
         .claim(
-            "compare-stiffnesses",
-            "",
+            ("compare-stiffnesses", Scope::PaperCar, ""),
             "Its stability is robust to wrong cornering stiffnesses",
             format!(
                 "\"robust with respect to uncertainties on C_f and C_r\": no unstable case \
@@ -235,16 +204,11 @@ fn claims(
             ),
             "nine speeds from 0.1 to 8 m/s, nine combinations, Hurwitz' criterion",
         )
-        .of(Scope::PaperCar)
-        .number(
-            "unstable of 81",
-            unstable(stiffnesses) as f64,
-            near(0.0, 0.0),
-        );
+        .number("unstable of 81", unstable, near(0.0, 0.0));
+    let apart = assumptions::measured_point(setup);
     section
         .claim(
-            "parameter-is-a-distance",
-            "m/s, rad/s",
+            ("parameter-is-a-distance", Scope::AnyCar, "m/s, rad/s"),
             "The law's only parameter is the position of the centre of mass",
             "\"apart from the position of the center of mass\": another point gives other \
              commands",
@@ -252,11 +216,7 @@ fn claims(
              and sideslip refer. Any point of the axis gives the same commands; the centre of \
              mass need not be known",
         )
-        .number(
-            "commands differ by",
-            assumptions::measured_point(setup),
-            near(0.0, 1e-9),
-        );
+        .number("commands differ by", apart, near(0.0, 1e-9));
 }
 
 /// Whether each law has a solution for a car at standstill that is to stay there.
@@ -426,12 +386,11 @@ fn parameter_plate(
             ..Panel::new(Axis::TIME, pictures::DEVIATION)
         })
     });
-    let figure = Figure {
-        title: "Deviation of P under the appendix's law with a wrong parameter".to_owned(),
-        caption: "How far P is from where two integrators would be.".to_owned(),
-        width: Width::Page,
-        panels: panels.collect(),
-    };
+    let figure = Figure::page(
+        "Deviation of P under the appendix's law with a wrong parameter",
+        "How far P is from where two integrators would be.",
+        panels.collect(),
+    );
     section.plate(
         "What a wrong parameter does under the appendix's law",
         "No figure: the text says that the law needs mass and cornering stiffnesses, and that its \

@@ -1,9 +1,7 @@
 //! The paper's drawings of the single-track model, to scale: the quantities, a wrong centre of mass,
 //! and the points P of both laws.
 
-use singletrack_figures::figure::{
-    Callout, Callouts, Curve, Figure, Look, Mark, MarkKind, Panel, Width,
-};
+use singletrack_figures::figure::{Callout, Callouts, Curve, Figure, Look, Mark, MarkKind, Panel};
 
 use super::{Setup, section::Picture};
 
@@ -100,12 +98,7 @@ impl Drawing {
     }
 
     fn picture(self, name: &str, title: &str, caption: &str) -> Picture {
-        let figure = Figure {
-            title: title.to_owned(),
-            caption: caption.to_owned(),
-            width: Width::Column,
-            panels: vec![self.panel],
-        };
+        let figure = Figure::column(title, caption, vec![self.panel]);
         Picture::new(name, "", figure)
     }
 

@@ -19,7 +19,8 @@ mod text;
 use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
+use singletrack::progress::progress_bar;
 use singletrack_control::VehicleParameters;
 
 use crate::{Result, vehicle_file};
@@ -107,11 +108,7 @@ fn reproduce(setup: Setup) -> Reproduction {
         comparison::section,
         sampled::section,
     ];
-    // Hidden when standard error is no terminal.
-    let progress = ProgressBar::new(parts.len() as u64);
-    if let Ok(style) = ProgressStyle::with_template("{bar:24} {pos}/{len}  {wide_msg}") {
-        progress.set_style(style);
-    }
+    let progress = progress_bar(parts.len() as u64, "{bar:24} {pos}/{len}  {wide_msg}");
     progress.enable_steady_tick(Duration::from_millis(200));
     let mut sections = Vec::new();
     for part in parts {

@@ -5,7 +5,7 @@ use std::path::Path;
 use indicatif::ProgressBar;
 use singletrack_analysis::identification::{Identification, Output, Parameter};
 use singletrack_control::{SlipAngles, Tyres, VehicleParameters};
-use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
+use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel};
 use singletrack_scenario::simulate::{self, Scenario};
 
 use super::{
@@ -213,72 +213,58 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
         Some(100.0 * (estimate.value / truth(&setup.vehicle, parameter) - 1.0))
     };
     let [c_f, c_r, i_z] = Parameter::VEHICLE.map(|one| error_of(report, one));
+    let friction = error_of(friction, Parameter::Friction);
     section
         .claim(
-            "model-identified",
-            "%",
+            ("model-identified", Scope::RealCar, "%"),
             "C_f, C_r and I_z can be identified from drives",
             "\"identified using the normalised mean prediction error\"; no intervals: taken as \
              within 10 %, C_r within 3 %",
             "from a minute of the simulated car, whose plant shares the code of the axles with \
              model and fit: it tests the fit, not the model",
         )
-        .of(Scope::RealCar)
         .number("C_f off by", c_f, near(0.0, 10.0))
         .number("C_r off by", c_r, near(0.0, 3.0))
         .number("I_z off by", i_z, near(0.0, 10.0));
     section
         .claim(
-            "friction-identified",
-            "%",
+            ("friction-identified", Scope::RealCar, "%"),
             "The friction coefficient of the tyres can be identified, too",
             "0.25 in the table of identified data; no interval: taken as within 10 %",
             "with C_f, C_r and I_z from the same drive, whose tyres saturate",
         )
-        .of(Scope::RealCar)
-        .number(
-            "off by",
-            error_of(friction, Parameter::Friction),
-            near(0.0, 10.0),
-        );
+        .number("off by", friction, near(0.0, 10.0));
     let [c_f, c_r, i_z] = Parameter::VEHICLE.map(|one| error_of(other, one));
     section
         .claim(
-            "model-identified-other",
-            "%",
+            ("model-identified-other", Scope::RealCar, "%"),
             "The parameters are found on a car with other equations",
             "identified on a real car, which no model equals; no number: taken as within 20 %",
             "the car that is driven has exact slip angles and the tyres of the magic formula, with \
              the same stiffnesses; the fitted model has small angles and tyres of its own",
         )
-        .of(Scope::RealCar)
         .number("C_f off by", c_f, near(0.0, 20.0))
         .number("C_r off by", c_r, near(0.0, 20.0))
         .number("I_z off by", i_z, near(0.0, 20.0));
     let fit = |output| fit(report?, output);
     section
         .claim(
-            "model-valid",
-            "%",
+            ("model-valid", Scope::RealCar, "%"),
             "The single-track model reproduces the dynamics of another drive",
             "\"able to correctly reproduce the relevant vehicle dynamics\"; no number: taken as \
              a fit above 80 %",
             "the simulated car's tyres saturate at μ = 0.25, and so do those of the model that \
              is fitted here; the paper's are linear",
         )
-        .of(Scope::RealCar)
         .number("yaw rate", fit(Output::YawRate), above(80.0))
         .number("sideslip", fit(Output::Sideslip), above(80.0));
     let errors = report.and_then(normalised_errors);
-    let nmpe = section
-        .claim(
-            "model-nmpe",
-            "",
-            "The normalised mean prediction error is low",
-            "0.58, without a unit and without its definition",
-            "by four definitions in use, of a simulated car; none is known to be the paper's",
-        )
-        .of(Scope::Nobody);
+    let nmpe = section.claim(
+        ("model-nmpe", Scope::Nobody, ""),
+        "The normalised mean prediction error is low",
+        "0.58, without a unit and without its definition",
+        "by four definitions in use, of a simulated car; none is known to be the paper's",
+    );
     for (index, label) in [
         "mean error over deviation",
         "RMS error over deviation",
@@ -292,8 +278,7 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
     }
     section
         .claim(
-            "similitude",
-            "",
+            ("similitude", Scope::AnyCar, ""),
             "A scaled car is similar to a real one",
             "\"identical, after accounting for the dimensional scaling of each parameter\": \
              eigenvalues in the ratio of the time scales",
@@ -305,15 +290,13 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
         .map(|angles| assumptions::steering_on_circle(setup, angles));
     section
         .claim(
-            "small-angles",
-            "%",
+            ("small-angles", Scope::PaperCar, "%"),
             "Sideslip and steering are small enough for sin x = x and cos x = 1",
             "\"small enough\"; no number: taken as a steering angle on the circle within 5 % of \
              the one with exact geometry",
             "the model steers 0.3286 rad where a car with exact slip angles and cos δ, and the \
              same linear tyres, steers 0.3226 rad",
         )
-        .of(Scope::PaperCar)
         .number("off by", 100.0 * (model / exact - 1.0), near(0.0, 5.0));
 }
 
@@ -327,32 +310,21 @@ fn tables(setup: &Setup, report: &Report, section: &mut Section) {
     });
     let rows = estimates.collect();
     let header = "truth,start,estimate,interval_low,interval_high".to_owned();
-    let estimates = Table { header, rows };
-    section.table("model-estimates", estimates);
+    section.table("model-estimates", Table { header, rows });
     let points = validation(report).map(|validation| &validation.simulation[..]);
-    let validation = Table::of(
-        points.unwrap_or_default(),
-        &[
-            ("time_s", |point| point.time_s),
-            ("speed_m_s", |point| point.speed_m_s),
-            ("steering_rad", |point| point.steering_rad),
-            ("measured_yaw_rad", |point| point.measured_yaw_rad),
-            ("yaw_rad", |point| point.yaw_rad),
-            ("measured_yaw_rate_rad_s", |point| {
-                point.measured_yaw_rate_rad_s
-            }),
-            ("yaw_rate_rad_s", |point| point.yaw_rate_rad_s),
-            ("measured_sideslip_rad", |point| point.measured_sideslip_rad),
-            ("sideslip_rad", |point| point.sideslip_rad),
-            ("measured_left_m_s2", |point| point.measured_left_m_s2),
-            ("left_m_s2", |point| point.left_m_s2),
-            ("measured_x_m", |point| point.measured_m[0]),
-            ("measured_y_m", |point| point.measured_m[1]),
-            ("x_m", |point| point.position_m[0]),
-            ("y_m", |point| point.position_m[1]),
-        ],
-    );
-    section.table("model-validation", validation);
+    let rows = points.unwrap_or_default().iter().map(|point| {
+        let mut row = vec![point.time_s, point.speed_m_s, point.steering_rad];
+        row.extend([point.measured_yaw_rad, point.yaw_rad]);
+        row.extend(Output::ALL.iter().flat_map(|output| output.of(point)));
+        row.extend(point.measured_m.into_iter().chain(point.position_m));
+        row
+    });
+    let header = "time_s,speed_m_s,steering_rad,measured_yaw_rad,yaw_rad,measured_yaw_rate_rad_s,\
+                  yaw_rate_rad_s,measured_sideslip_rad,sideslip_rad,measured_left_m_s2,left_m_s2,\
+                  measured_x_m,measured_y_m,x_m,y_m"
+        .to_owned();
+    let rows = rows.collect();
+    section.table("model-validation", Table { header, rows });
 }
 
 fn plates(setup: &Setup, report: &Report, section: &mut Section) {
@@ -447,12 +419,7 @@ fn many(study: &Study, section: &mut Section) {
         panels.push(Panel {
             title: symbol.to_owned(),
             estimates,
-            levels: vec![Level {
-                name: "truth".to_owned(),
-                value: 1.0,
-                label: String::new(),
-                look: Look::Truth,
-            }],
+            levels: vec![Level::new("truth", 1.0, Look::Truth)],
             ..Panel::new(
                 Axis::new("drive", None, "number"),
                 Axis::new("estimate over truth", None, "1"),
@@ -470,12 +437,11 @@ fn many(study: &Study, section: &mut Section) {
         vec![Picture::new(
             "model-estimates",
             "",
-            Figure {
-                title: "Estimates from many drives".to_owned(),
-                caption: "Each estimate over the truth, with its interval of 95 %.".to_owned(),
-                width: Width::Page,
+            Figure::page(
+                "Estimates from many drives",
+                "Each estimate over the truth, with its interval of 95 %.",
                 panels,
-            },
+            ),
         )],
     );
 }

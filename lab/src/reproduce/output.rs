@@ -440,22 +440,19 @@ fn framed(plate: &Plate) -> String {
 }
 
 fn vehicle(reproduction: &Reproduction) -> String {
-    let VehicleParameters {
-        mass_kg: m,
-        yaw_inertia_kg_m2: i_z,
-        front_axle_distance_m: l_f,
-        rear_axle_distance_m: l_r,
-        friction,
-        front_cornering_stiffness_n_rad: c_f,
-        rear_cornering_stiffness_n_rad: c_r,
-    } = reproduction.setup.vehicle;
+    let car = &reproduction.setup.vehicle;
+    let [c_f, c_r] = [
+        car.front_cornering_stiffness_n_rad,
+        car.rear_cornering_stiffness_n_rad,
+    ];
+    let [l_f, l_r] = [car.front_axle_distance_m, car.rear_axle_distance_m];
     let p = reproduction.setup.point_distance_m();
     [
-        ("mass m", m, "kg"),
-        ("yaw moment of inertia I_z", i_z, "kg m²"),
+        ("mass m", car.mass_kg, "kg"),
+        ("yaw moment of inertia I_z", car.yaw_inertia_kg_m2, "kg m²"),
         ("centre of mass to front axle l_f", l_f, "m"),
         ("centre of mass to rear axle l_r", l_r, "m"),
-        ("friction μ", friction, ""),
+        ("friction μ", car.friction, ""),
         ("cornering stiffness, front C_f", c_f, "N/rad"),
         ("cornering stiffness, rear C_r", c_r, "N/rad"),
         ("distance p of P from the front axle", p, "m"),
@@ -475,7 +472,10 @@ fn vehicle(reproduction: &Reproduction) -> String {
 mod tests {
     use super::*;
     use crate::{
-        reproduce::{Setup, claims::near},
+        reproduce::{
+            Setup,
+            claims::{Scope, near},
+        },
         table::Table,
     };
 
@@ -509,7 +509,7 @@ mod tests {
 
     fn reproduction() -> Reproduction {
         let table = |name: &str| {
-            let table = Table::of(&[1.0], &[("t", |t| *t)]);
+            let table = Table::of("t", &[serde_json::json!({ "t": 1.0 })]);
             (name.to_owned(), table)
         };
         let mut section = Section::new(2, "", "");
@@ -545,7 +545,12 @@ mod tests {
     #[test]
     fn a_bar_in_a_cell_is_no_border_in_markdown() {
         let mut section = Section::new(2, "", "");
-        let claim = section.claim("deviation", "m", "2 |dl|", "none", "it is so");
+        let claim = section.claim(
+            ("deviation", Scope::AnyCar, "m"),
+            "2 |dl|",
+            "none",
+            "it is so",
+        );
         claim.judge(true);
         let table = markdown([&*claim].into_iter());
         assert!(
@@ -557,7 +562,12 @@ mod tests {
     #[test]
     fn an_unexpected_verdict_is_counted_and_marked() {
         let mut section = Section::new(2, "", "");
-        let claim = section.claim("deviation", "m", "The deviation", "1 m", "it is so");
+        let claim = section.claim(
+            ("deviation", Scope::AnyCar, "m"),
+            "The deviation",
+            "1 m",
+            "it is so",
+        );
         claim.number("ideal", 2.0, near(1.0, 0.1)).judge(true);
         let mut reproduction = reproduction();
         reproduction.sections.push(section);

@@ -57,27 +57,23 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let first = section.or_note("the first unstable speed", first).flatten();
     section
         .claim(
-            "sampled-stable",
-            "",
+            ("sampled-stable", Scope::PaperCar, ""),
             "The motion is as stable in ticks of 10 ms, a tick late",
             "the controller has \"a rate of 100 Hz\", the analysis is in continuous time: \
              spectral radius below 1 over the meaningful range",
             "up to 5 m/s, with a pose at every tick and wheels that follow at once; the paper \
              leaves this out",
         )
-        .of(Scope::PaperCar)
         .number("largest radius", largest, below(1.0));
     section
         .claim(
-            "sampled-servo",
-            "m/s",
+            ("sampled-servo", Scope::Nobody, "m/s"),
             "The motion is stable with a steering servo",
             "the analysis has none; δ is an input of the model",
             "with the servo of the simulated car, 40 ms of lag, 9 ms from tick to wheels, a \
              pulse every 20 ms and a yaw rate 15 ms old, over the whole meaningful range; with \
              the pilot's compensation up to 7.6 m/s",
         )
-        .of(Scope::Nobody)
         .number("up to", first, near(2.90, 0.01));
     if map.is_empty() {
         return section;

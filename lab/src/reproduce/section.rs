@@ -73,12 +73,11 @@ impl Section {
         }
     }
 
-    /// Adds a claim about any car, without numbers yet: what the paper says, in its words, and why
-    /// it is so or not.
+    /// Adds a claim with this name about these cars, without numbers yet, but with their unit: what the
+    /// paper says, in its words, and why it is so or not.
     pub(super) fn claim(
         &mut self,
-        id: &'static str,
-        unit: &'static str,
+        (id, scope, unit): (&'static str, Scope, &'static str),
         claim: impl Into<String>,
         paper: impl Into<String>,
         why: impl Into<String>,
@@ -86,7 +85,7 @@ impl Section {
         self.claims.push(Claim {
             id,
             section: self.number,
-            scope: Scope::AnyCar,
+            scope,
             claim: claim.into(),
             paper: paper.into(),
             unit,

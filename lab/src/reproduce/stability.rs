@@ -6,7 +6,7 @@ use singletrack_analysis::stability::{
     smallest_point_distance,
 };
 use singletrack_control::VehicleParameters;
-use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Scale, Symbol, Width};
+use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol};
 
 use super::{
     Setup, assumptions,
@@ -99,25 +99,17 @@ const fn l1(point: &HopfPoint) -> f64 {
 fn lyapunov_picture(name: &str, curve: &[HopfPoint]) -> Picture {
     let speed: Column = curve.iter().map(|point| point.speed).collect();
     let coefficient = curve.iter().map(|point| point.lyapunov.matcont).collect();
-    let y = Axis {
-        scale: Scale::Log,
-        ..Axis::new(
-            "first Lyapunov coefficient",
-            Some(Symbol::new("l", "1")),
-            "",
-        )
-    };
-    let figure = Figure {
-        title: "First Lyapunov coefficient of all bifurcation points".to_owned(),
-        caption: "Along the curve of Hopf points, as MatCont counts it; above zero they are \
-                  subcritical."
-            .to_owned(),
-        width: Width::Column,
-        panels: vec![Panel {
+    let symbol = Some(Symbol::new("l", "1"));
+    let y = Axis::new("first Lyapunov coefficient", symbol, "").logarithmic();
+    let figure = Figure::column(
+        "First Lyapunov coefficient of all bifurcation points",
+        "Along the curve of Hopf points, as MatCont counts it; above zero they are \
+         subcritical.",
+        vec![Panel {
             curves: vec![Curve::new("Hopf points", Look::Actual, &speed, coefficient)],
             ..Panel::new(Axis::new("speed", Some(Symbol::new("v", "")), "m/s"), y)
         }],
-    };
+    );
     Picture::new(name, "l₁ of all bifurcation points", figure)
 }
 
@@ -188,23 +180,22 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
     };
     let deviations = || curve.iter().map(|point| point.deviation);
     let highest = largest(deviations());
-    let inside = assumptions::with_position_loop(setup, [ahead, behind]);
-    let outside = assumptions::with_position_loop(setup, [5.0 * ahead, ahead]);
+    let inside = assumptions::with_position_loop(setup, [ahead, behind]).map(|counts| counts[0]);
+    let beyond = [5.0 * ahead, ahead];
+    let outside = assumptions::with_position_loop(setup, beyond).map(|counts| counts[2]);
     let smallest = smallest_point_distance(setup.vehicle, [ahead, behind]);
+    let smallest = smallest.ok().flatten();
     section
         .claim(
-            "hopf-negative",
-            "m",
+            ("hopf-negative", Scope::PaperCar, "m"),
             "Hopf bifurcations are at negative dl",
             "\"detected at negative values of dl\": below 0",
             "closed form: Hurwitz' determinant is quadratic in dl",
         )
-        .of(Scope::PaperCar)
         .number("largest", highest, below(0.0));
     section
         .claim(
-            "hopf-outside",
-            "m",
+            ("hopf-outside", Scope::PaperCar, "m"),
             "They are outside the physically meaningful range at all speeds considered",
             format!(
                 "\"outside the range [−l_f, l_r] for all considered velocity values\": below \
@@ -217,33 +208,27 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
                 mm(ahead - limit)
             ),
         )
-        .of(Scope::PaperCar)
         .number("largest", highest, below(ahead))
         .number("v → ∞", limit, below(ahead));
     section
         .claim(
-            "hopf-subcritical",
-            "",
+            ("hopf-subcritical", Scope::PaperCar, ""),
             "They are subcritical",
             "\"subcritical Hopf bifurcations\": l₁ above 0",
             "exact derivatives; Kuznetsov's normalisation, on which the sign does not depend",
         )
-        .of(Scope::PaperCar)
         .number("least l₁", least(curve.iter().map(l1)), above(0.0));
     section
         .claim(
-            "structurally-stable",
-            "",
+            ("structurally-stable", Scope::PaperCar, ""),
             "The steady motion is stable over the whole meaningful range",
             "\"structurally asymptotically stable\": no unstable point",
             "Hurwitz' criterion at 201 values of dl and 9 speeds from 0.01 to 1000 m/s",
         )
-        .of(Scope::PaperCar)
         .number("unstable points", unstable as f64, near(0.0, 0.0));
     section
         .claim(
-            "necessary-and-sufficient",
-            "",
+            ("necessary-and-sufficient", Scope::PaperCar, ""),
             "The stability of ξ decides that of the whole system",
             "\"necessary, but also sufficient\": with the position loop around the law no \
              unstable point where ξ is stable, and no stable one where it is not",
@@ -251,46 +236,27 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
              they do, and the paper's gain of 1 takes no stability over the meaningful range and \
              gives none at the unstable ones of 147 motions beyond it, down to dl = −5 l_f",
         )
-        .of(Scope::PaperCar)
-        .number(
-            "unstable of 147",
-            inside.map(|counts| counts[0]),
-            near(0.0, 0.0),
-        )
-        .number(
-            "stable of 47",
-            outside.map(|counts| counts[2]),
-            near(0.0, 0.0),
-        );
+        .number("unstable of 147", inside, near(0.0, 0.0))
+        .number("stable of 47", outside, near(0.0, 0.0));
+    let turned = assumptions::direction_matters(setup);
     section
         .claim(
-            "direction",
-            "",
+            ("direction", Scope::AnyCar, ""),
             "The direction of the motion may be 45° without loss of generality",
             "\"without loss of generality\": the same motion in every direction",
             "law and model turn with the world; four directions and four states",
         )
-        .number(
-            "differ by",
-            assumptions::direction_matters(setup),
-            near(0.0, 1e-9),
-        );
+        .number("differ by", turned, near(0.0, 1e-9));
     section
         .claim(
-            "point-stability",
-            "m",
+            ("point-stability", Scope::Nobody, "m"),
             "Stable with P at another distance",
             "analysed with p = 0.35 m only",
             "our extension, in closed form: stable over the whole meaningful range at every \
              speed from this p on. With the servo of the simulated car the least p grows with \
              the speed",
         )
-        .of(Scope::Nobody)
-        .number(
-            "p for every speed",
-            smallest.ok().flatten(),
-            near(0.35, 0.01),
-        );
+        .number("p for every speed", smallest, near(0.35, 0.01));
     section.table("hopf-front-point", hopf_table(&curve));
     let mut pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
     pictures.push(lyapunov_picture("lyapunov-front-point", &curve));
@@ -390,21 +356,18 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
     let critical = measured.map(|parts| unstable(parts) as f64);
     section
         .claim(
-            "eigenvalues-negative",
-            "1/s",
+            ("eigenvalues-negative", Scope::PaperCar, "1/s"),
             "All four real parts are negative within the meaningful range",
             "\"R(λ_i) < 0 for all i = 1, …, 4\": below 0",
             "over the map of speed and dl, sorted by real part",
         )
-        .of(Scope::PaperCar)
         .number("λ₁ at most", front.first().copied(), below(0.0))
         .number("λ₂ at most", front.get(1).copied(), below(0.0))
         .number("λ₃ at most", front.get(2).copied(), below(0.0))
         .number("λ₄ at most", front.get(3).copied(), below(0.0));
     section
         .claim(
-            "eigenvalues-appendix-count",
-            "",
+            ("eigenvalues-appendix-count", Scope::AnyCar, ""),
             "The appendix's law has four eigenvalues",
             "\"the four eigenvalues of the dynamics of ξ̃\": 4",
             "ξ̃ is yaw, yaw rate and sideslip: three states, as the law commands the steering \
@@ -413,13 +376,11 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
         .slip("eigenvalues", count, near(4.0, 0.0), near(3.0, 0.0));
     section
         .claim(
-            "eigenvalues-appendix-critical",
-            "",
+            ("eigenvalues-appendix-critical", Scope::PaperCar, ""),
             "Only λ₃ of the appendix's law becomes positive",
             "the caption of its map has a region with R ≥ 0, those of λ₁ and λ₂ have none: 1",
             "at a Hopf bifurcation a complex pair crosses the axis: λ₂ goes with λ₃",
         )
-        .of(Scope::PaperCar)
         .slip(
             "with R ≥ 0 in the range",
             critical,
@@ -477,20 +438,18 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
     } = setup.vehicle;
     // The law uses the distances only in C_r l_r − C_f l_f.
     let stiffness_ratio = (c_f + c_r) / c_f;
+    let lowest = least(curve.iter().map(|point| point.deviation));
     section
         .claim(
-            "appendix-threshold",
-            "mm",
+            ("appendix-threshold", Scope::PaperCar, "mm"),
             "At 0.1 m/s the appendix's law is unstable from dl = 0.136 mm on",
             "\"for v = 0.1, the threshold value for dl is equal to 0.136 mm\"",
             "exact: with both distances wrong, on a wheelbase that is known",
         )
-        .of(Scope::PaperCar)
         .number("l_f + dl and l_r − dl", both * 1000.0, near(0.136, 0.0005));
     section
         .claim(
-            "appendix-threshold-front-only",
-            "mm",
+            ("appendix-threshold-front-only", Scope::PaperCar, "mm"),
             "The threshold of dl is with l_f alone estimated",
             "of the two only an estimate of l_f is spoken of: 0.136 mm",
             format!(
@@ -499,7 +458,6 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
                 with_digits(stiffness_ratio, 4)
             ),
         )
-        .of(Scope::PaperCar)
         .slip(
             "l_f + dl, l_r as it is",
             front * 1000.0,
@@ -508,29 +466,21 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
         );
     section
         .claim(
-            "appendix-inside",
-            "",
+            ("appendix-inside", Scope::PaperCar, ""),
             "Its bifurcations are at positive dl, at small speeds inside the meaningful range",
             "\"at positive values of dl\", \"especially for small velocities\" inside: above 0 \
              and inside up to some speed",
             format!("the curve crosses l_r = {} m there", number(behind)),
         )
-        .of(Scope::PaperCar)
-        .number(
-            "least dl, m",
-            least(curve.iter().map(|point| point.deviation)),
-            above(0.0),
-        )
+        .number("least dl, m", lowest, above(0.0))
         .number("inside up to, m/s", leaves, above(0.1));
     section
         .claim(
-            "appendix-subcritical",
-            "",
+            ("appendix-subcritical", Scope::PaperCar, ""),
             "They are subcritical",
             "\"subcritical Hopf bifurcations\": l₁ above 0",
             "exact derivatives; it falls by five decades from 0.1 to 8 m/s",
         )
-        .of(Scope::PaperCar)
         .number("least l₁", least(curve.iter().map(l1)), above(0.0));
     section.table("hopf-velocity-point", hopf_table(&curve));
     let mut pictures = region_picture(

@@ -2,7 +2,7 @@
 
 use indicatif::ProgressBar;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
-use singletrack_figures::figure::{Curve, Figure, Look, Width};
+use singletrack_figures::figure::{Curve, Figure, Look};
 use singletrack_scenario::simulate::{MarkerLoss, PlantKind};
 use singletrack_statistics::RootMeanSquare;
 
@@ -179,10 +179,11 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
     let [right, rear] = ["right", "rear"].map(|case| largest(case, "ideal"));
     let wheelbase = setup.vehicle.wheelbase_m();
     let dl = setup.rear_deviation_m();
+    let corner = "cos(β − δ) at 40°, −50°";
+    let cosine = assumptions::cosine_refused(setup, 40.0, -50.0);
     section
         .claim(
-            "steps-integrators",
-            "m",
+            ("steps-integrators", Scope::AnyCar, "m"),
             "With the right l_f the law makes of P two independent integrators",
             "\"behaves as predicted by the theory, i.e., as two independent integrators\": \
              deviation 0",
@@ -191,8 +192,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         .number("ideal", right, near(0.0, 1e-6));
     section
         .claim(
-            "steps-close",
-            "m",
+            ("steps-close", Scope::PaperCar, "m"),
             "Without position control P stays very close to its nominal path",
             "\"very close to the nominal one\"; no number: taken as within a wheelbase, which is lenient",
             format!(
@@ -200,36 +200,30 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
                 metres(wheelbase)
             ),
         )
-        .of(Scope::PaperCar)
         .number("ideal, dl = 0", right, below(wheelbase))
         .number("ideal, dl = l_r", rear, below(wheelbase));
     section
         .claim(
-            "steps-close-car",
-            "m",
+            ("steps-close-car", Scope::RealCar, "m"),
             "On the car P stays close to its nominal path, in spite of non-idealities and marker losses",
             "\"very close to the nominal one\", \"robust to this disturbance as well\"; no \
              number: taken as within a wheelbase, which is lenient",
             "most of it arises in the first second: the nominal P moves at once, the simulated \
              car has to start; there are no data of the real one to compare with",
         )
-        .of(Scope::RealCar)
         .number("dl = 0", largest("right", "car"), below(wheelbase))
         .number("dl = l_r", largest("rear", "car"), below(wheelbase));
     section
         .claim(
-            "steps-losses",
-            "m",
+            ("steps-losses", Scope::RealCar, "m"),
             "Holding the last pose while the markers are lost does little harm",
             "\"robust to this disturbance as well\"; no number: taken as below 0.1 m",
             "four losses of 200 ms against the same drive without them",
         )
-        .of(Scope::RealCar)
         .number("car", apart(drives, "right", SEEN), below(0.1));
     section
         .claim(
-            "steps-uncertain-integrators",
-            "m",
+            ("steps-uncertain-integrators", Scope::AnyCar, "m"),
             format!("P stays two integrators with dl = {}", metres(dl)),
             "\"as two independent integrators, even in the presence of uncertainty\": deviation 0",
             format!(
@@ -241,8 +235,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         .slip("ideal", rear, near(0.0, 1e-6), near(2.0 * dl, 1e-3 * dl));
     section
         .claim(
-            "steps-deviation-law",
-            "m",
+            ("steps-deviation-law", Scope::AnyCar, "m"),
             "With a wrong l_f P's velocity is off by dl r, across the car",
             "equation 9, which integrates to a deviation of 2 |dl sin(Δψ/2)|",
             "the deviation measured, less the one of theory, at most",
@@ -250,46 +243,34 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         .number("residual, ideal", residual(setup, drives), near(0.0, 1e-6));
     section
         .claim(
-            "singularity",
-            "",
+            ("singularity", Scope::AnyCar, ""),
             "The singularity β − δ = 90° is out of reach",
             "\"never satisfied\" for sideslip up to ±40° and steering up to ±50°",
             "the corner of the stated ranges is 40° + 50° = 90°, where the law refuses to \
              answer; with steering up to 26°, as the car has, it is out of reach",
         )
-        .slip(
-            "cos(β − δ) at 40°, −50°",
-            assumptions::cosine_refused(setup, 40.0, -50.0),
-            above(0.1),
-            near(0.0, 1e-15),
-        );
+        .slip(corner, cosine, above(0.1), near(0.0, 1e-15));
+    let off = assumptions::error_of_any_p(setup);
     section
         .claim(
-            "point-anywhere",
-            "m/s",
+            ("point-anywhere", Scope::AnyCar, "m/s"),
             "P may be at any distance p but zero",
             "\"can be arbitrarily selected, excluding the case p = 0\": velocity of P as wanted",
             "equation 7 makes P an integrator for every p from 0.01 to 5 m; whether the motion \
              is stable is another question",
         )
-        .number(
-            "off by",
-            assumptions::error_of_any_p(setup),
-            near(0.0, 1e-9),
-        );
+        .number("off by", off, near(0.0, 1e-9));
     let [whole, half, quarter] = [1.0, 0.5, 0.25].map(|part| wheel_from_path(setup, part));
     let nearer_than = |value: Option<f64>| below(value.unwrap_or(f64::NAN));
     section
         .claim(
-            "point-near-wheel",
-            "m",
+            ("point-near-wheel", Scope::PaperCar, "m"),
             "The closer P is to the front wheel, the better it describes the motion",
             "\"the closer point P is to the front wheel contact point, the more accurately it \
              describes the motion of the vehicle\": the wheel stays nearer to the path of P",
             "the steps without position control: how far the wheel is from the path at most, with \
              p = 0.35, 0.175 and 0.0875 m",
         )
-        .of(Scope::PaperCar)
         .number("p/4", quarter, nearer_than(half))
         .number("p/2", half, nearer_than(whole))
         .number("p", whole, above(0.0));
@@ -453,7 +434,6 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
                 "Deviation of P with the centre of mass believed at the rear axle",
                 "How far the true P is from where two integrators would be.",
                 pictures::DEVIATION,
-                Width::Column,
                 curves,
             ),
         )],

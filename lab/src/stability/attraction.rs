@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::Attraction;
-use singletrack_campaign::{Progress, run_units, thread_count};
+use singletrack_campaign::{run_shown, thread_count};
 use singletrack_figures::output::print;
 
 use super::{
@@ -81,10 +81,8 @@ pub(super) fn run(args: &AttractionArgs) -> Result {
     };
     let speeds = args.speeds.values();
     let units: Vec<u64> = (0..speeds.len() as u64).collect();
-    let progress = Progress::new("attraction", units.len() as u64);
     let work = |unit: u64| of_speed(speeds[unit as usize]);
-    let found = run_units(&units, thread_count(), work, || progress.advance())?;
-    progress.finish();
+    let found = run_shown("attraction", &units, thread_count(), work)?;
     let found: Vec<_> = found.into_iter().map(|(_, found)| found).collect();
     if let Some(path) = &args.certificates {
         let proofs: Vec<Value> = found
@@ -96,25 +94,14 @@ pub(super) fn run(args: &AttractionArgs) -> Result {
     }
     let rows: Vec<AttractionRow> = found.iter().map(|(row, _)| *row).collect();
     match args.format {
-        DrawnFormat::Csv => print(&table(&rows).to_csv())?,
+        DrawnFormat::Csv => {
+            let header = "speed_m_s,level,proved_yaw_rad,simulated_yaw_rad,boxes,time_s";
+            print(&Table::of(header, &rows).to_csv())?;
+        }
         DrawnFormat::Json => write_json(&subject, &rows)?,
         DrawnFormat::Svg => print(&figures::attraction(&rows).to_svg())?,
     }
     Ok(())
-}
-
-fn table(rows: &[AttractionRow]) -> Table {
-    Table::of(
-        rows,
-        &[
-            ("speed_m_s", |row| row.speed_m_s),
-            ("level", |row| row.level),
-            ("proved_yaw_rad", |row| row.proved_yaw_rad),
-            ("simulated_yaw_rad", |row| row.simulated_yaw_rad),
-            ("boxes", |row| f64::from(row.boxes)),
-            ("time_s", |row| row.time_s),
-        ],
-    )
 }
 
 /// All that a program needs which derives the loop for itself, and checks that x'Px falls.

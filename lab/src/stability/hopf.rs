@@ -1,7 +1,7 @@
 //! The Hopf curve, where stability ends, speed by speed; and the limit cycles born there.
 
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 use singletrack_analysis::stability::{
     CycleBranch, HopfPoint, LimitCycle, Saturation, StabilityError,
 };
@@ -11,8 +11,7 @@ use super::{
     arguments::{DrawnFormat, LoopArgs, SaturationArgs},
     figures::{self, Scene},
     region::region,
-    subject::write_json,
-    subject::{Grid, Subject},
+    subject::{Grid, Subject, write_json},
 };
 use crate::{Result, table::Table};
 
@@ -36,10 +35,7 @@ pub(super) fn run(args: &HopfArgs) -> Result {
     }
     match args.format {
         DrawnFormat::Csv => print(&hopf_table(&curve).to_csv())?,
-        DrawnFormat::Json => {
-            let points: Vec<_> = curve.iter().map(document).collect();
-            write_json(&subject, &points)?;
-        }
+        DrawnFormat::Json => write_json(&subject, &documents(&curve))?,
         DrawnFormat::Svg => {
             let deviations = figures::drawn_deviations(&subject, 241);
             let region = region(&subject, &args.speeds, &deviations)?;
@@ -65,30 +61,25 @@ pub fn hopf_curve(subject: &Subject, speeds: &Grid) -> Result<Vec<HopfPoint>, St
 
 /// The numbers of Hopf points.
 pub fn hopf_table(curve: &[HopfPoint]) -> Table {
-    Table::of(
-        curve,
-        &[
-            ("speed_m_s", |point| point.speed),
-            ("dl_hopf_m", |point| point.deviation),
-            ("omega_rad_s", |point| point.angular_frequency),
-            ("l1_kuznetsov", |point| point.lyapunov.kuznetsov),
-            ("l1_matcont", |point| point.lyapunov.matcont),
-        ],
-    )
+    let header = "speed_m_s,dl_hopf_m,omega_rad_s,l1_kuznetsov,l1_matcont";
+    Table::of(header, &documents(curve))
 }
 
-fn document(point: &HopfPoint) -> serde_json::Value {
-    json!({
-        "speed_m_s": point.speed,
-        "dl_hopf_m": point.deviation,
-        "omega_rad_s": point.angular_frequency,
-        "l1_kuznetsov": point.lyapunov.kuznetsov,
-        "l1_matcont": point.lyapunov.matcont,
-        "criticality": point.criticality().name(),
-        "dre_ddl_per_s_m": point.crossing,
-        "largest_other_re_per_s": point.largest_other_real_part,
-        "ends_stability": point.ends_stability(),
-    })
+fn documents(curve: &[HopfPoint]) -> Vec<Value> {
+    let document = |point: &HopfPoint| {
+        json!({
+            "speed_m_s": point.speed,
+            "dl_hopf_m": point.deviation,
+            "omega_rad_s": point.angular_frequency,
+            "l1_kuznetsov": point.lyapunov.kuznetsov,
+            "l1_matcont": point.lyapunov.matcont,
+            "criticality": point.criticality().name(),
+            "dre_ddl_per_s_m": point.crossing,
+            "largest_other_re_per_s": point.largest_other_real_part,
+            "ends_stability": point.ends_stability(),
+        })
+    };
+    curve.iter().map(document).collect()
 }
 
 #[derive(Clone, Debug, Args)]
@@ -124,12 +115,11 @@ pub(super) fn run_cycles(args: &CyclesArgs) -> Result {
     }
     let hopf: Vec<HopfPoint> = branches.iter().map(|(hopf, _)| *hopf).collect();
     let cycles: Vec<LimitCycle> = branches.into_iter().flat_map(|(_, b)| b.cycles).collect();
+    let points: Vec<_> = cycles.iter().map(cycle_document).collect();
+    let header = "dl_m,amplitude_rad,period_s,multiplier,stable";
     match args.format {
-        DrawnFormat::Csv => print(&cycle_table(&cycles).to_csv())?,
-        DrawnFormat::Json => {
-            let points: Vec<_> = cycles.iter().map(cycle_document).collect();
-            write_json(&subject, &points)?;
-        }
+        DrawnFormat::Csv => print(&Table::of(header, &points).to_csv())?,
+        DrawnFormat::Json => write_json(&subject, &points)?,
         DrawnFormat::Svg => print(&figures::cycles(&cycles, &hopf, args.speed).to_svg())?,
     }
     Ok(())
@@ -149,20 +139,6 @@ pub fn limit_cycles(
     let closed_loop = subject.at(speed, 0.0)?.saturating(saturation)?;
     let of = |hopf| (hopf, closed_loop.limit_cycles(&hopf, deviations.values()));
     Ok(subject.hopf_points(speed)?.into_iter().map(of).collect())
-}
-
-/// The numbers of cycles.
-pub fn cycle_table(cycles: &[LimitCycle]) -> Table {
-    Table::of(
-        cycles,
-        &[
-            ("dl_m", |cycle| cycle.deviation),
-            ("amplitude_rad", |cycle| cycle.amplitude),
-            ("period_s", |cycle| cycle.period),
-            ("multiplier", |cycle| cycle.multiplier),
-            ("stable", |cycle| f64::from(u8::from(cycle.is_stable()))),
-        ],
-    )
 }
 
 /// Where a branch begins, turns back and ends, to standard error.
@@ -189,7 +165,7 @@ fn describe(hopf: &HopfPoint, branch: &CycleBranch) {
     );
 }
 
-fn cycle_document(cycle: &LimitCycle) -> serde_json::Value {
+fn cycle_document(cycle: &LimitCycle) -> Value {
     json!({
         "dl_m": cycle.deviation,
         "amplitude_rad": cycle.amplitude,

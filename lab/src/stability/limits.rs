@@ -2,8 +2,8 @@
 //! the least p.
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
+use singletrack::progress::progress_bar;
 use singletrack_analysis::stability::{
     ClosedLoop, MarginLimits, first_unstable_speed, least_point_distance,
 };
@@ -202,11 +202,10 @@ pub(super) fn shown_map(
     what: &str,
 ) -> Result<Vec<SampledRow>> {
     let total = speeds.values().len() * deviations.values().len();
-    let bar = ProgressBar::new(total as u64);
-    if let Ok(style) = ProgressStyle::with_template(&format!("{{wide_bar}} {{pos}}/{{len}} {what}"))
-    {
-        bar.set_style(style);
-    }
+    let bar = progress_bar(
+        total as u64,
+        &format!("{{wide_bar}} {{pos}}/{{len}} {what}"),
+    );
     let map = sampled_map(subject, speeds, deviations, timing, || bar.inc(1))?;
     bar.finish_and_clear();
     Ok(map)
@@ -214,20 +213,8 @@ pub(super) fn shown_map(
 
 /// The numbers of a map; of a margin that was not found none.
 pub fn sampled_table(map: &[SampledRow]) -> Table {
-    Table::of(
-        map,
-        &[
-            ("speed_m_s", |row| row.speed_m_s),
-            ("dl_m", |row| row.dl_m),
-            ("spectral_radius", |row| row.spectral_radius),
-            ("delay_margin_s", |row| {
-                row.delay_margin_s.unwrap_or(f64::NAN)
-            }),
-            ("longest_constant_interval_s", |row| {
-                row.longest_constant_interval_s.unwrap_or(f64::NAN)
-            }),
-        ],
-    )
+    let header = "speed_m_s,dl_m,spectral_radius,delay_margin_s,longest_constant_interval_s";
+    Table::of(header, map)
 }
 
 /// The sampled loop at a speed and a dl.

@@ -79,7 +79,9 @@ pub(super) fn run(args: &LossesArgs) -> Result {
                 .iter()
                 .map(|point| irregular(point, limit, proofs.as_mut()))
                 .collect();
-            write(args.format, &subject, &irregular_table(&rows), &rows)?;
+            let header = "speed_m_s,dl_m,every_pattern_s,constant_s,unstable_short_s,shorts,\
+                          unstable_long_s,longs,growth";
+            write(args.format, &subject, &Table::of(header, &rows), &rows)?;
         }
         Some(bursts) => {
             let mut rows = Vec::new();
@@ -155,32 +157,6 @@ fn irregular(point: &Point<'_>, limit: u32, proofs: Option<&mut Vec<Value>>) -> 
     }
 }
 
-fn irregular_table(rows: &[IrregularRow]) -> Table {
-    let or_none = |value: Option<f64>| value.unwrap_or(f64::NAN);
-    Table {
-        header:
-            "speed_m_s,dl_m,every_pattern_s,constant_s,unstable_short_s,shorts,unstable_long_s,\
-                 longs,growth"
-                .to_owned(),
-        rows: rows
-            .iter()
-            .map(|row| {
-                vec![
-                    row.speed_m_s,
-                    row.dl_m,
-                    row.every_pattern_s,
-                    or_none(row.constant_s),
-                    or_none(row.unstable_short_s),
-                    or_none(row.shorts.map(f64::from)),
-                    or_none(row.unstable_long_s),
-                    or_none(row.longs.map(f64::from)),
-                    or_none(row.growth),
-                ]
-            })
-            .collect(),
-    }
-}
-
 /// The resolution of the share, and how far below its end it is looked at.
 const SHARE_RESOLUTION: f64 = 1e-4;
 
@@ -227,25 +203,10 @@ fn certificate(
     switched: &Switched,
     function: &LyapunovFunction,
 ) -> Value {
-    let TimingArgs {
-        period_ms,
-        delay_ms,
-        position_gain,
-        steering_lag_ms,
-        steering_dead_time_ms,
-        predict,
-        yaw_rate_age_ms,
-        sideslip_age_ms,
-        predicted_ticks,
-        servo_frame,
-        compensate,
-        ..
-    } = *point.timing;
+    let timing = point.timing;
     let rows = |matrix: &nalgebra::DMatrix<f64>| -> Vec<Vec<f64>> {
-        matrix
-            .row_iter()
-            .map(|row| row.iter().copied().collect())
-            .collect()
+        let rows = matrix.row_iter();
+        rows.map(|row| row.iter().copied().collect()).collect()
     };
     json!({
         "claim": claim,
@@ -255,17 +216,17 @@ fn certificate(
         "point_distance_m": point.subject.point_distance,
         "speed_m_s": point.speed_m_s,
         "dl_m": point.dl_m,
-        "period_ms": period_ms,
-        "delay_ms": delay_ms,
-        "position_gain_per_s": position_gain,
-        "steering_lag_ms": steering_lag_ms,
-        "steering_dead_time_ms": steering_dead_time_ms,
-        "yaw_rate_age_ms": yaw_rate_age_ms,
-        "sideslip_age_ms": sideslip_age_ms,
-        "predicted_ticks": predicted_ticks,
-        "servo_frame": servo_frame,
-        "compensate": compensate,
-        "predict": predict,
+        "period_ms": timing.period_ms,
+        "delay_ms": timing.delay_ms,
+        "position_gain_per_s": timing.position_gain,
+        "steering_lag_ms": timing.steering_lag_ms,
+        "steering_dead_time_ms": timing.steering_dead_time_ms,
+        "yaw_rate_age_ms": timing.yaw_rate_age_ms,
+        "sideslip_age_ms": timing.sideslip_age_ms,
+        "predicted_ticks": timing.predicted_ticks,
+        "servo_frame": timing.servo_frame,
+        "compensate": timing.compensate,
+        "predict": timing.predict,
         "coordinates": switched.coordinates,
         "functions": function.0.iter().map(rows).collect::<Vec<_>>(),
     })

@@ -22,7 +22,7 @@ use crate::Result;
 
 pub use arguments::TimingArgs;
 pub use eigenvalues::{EigenvalueRow, eigenvalue_map, eigenvalue_table};
-pub use hopf::{cycle_table, hopf_curve, hopf_table, limit_cycles};
+pub use hopf::{hopf_curve, hopf_table, limit_cycles};
 pub use limits::{SampledRow, first_unstable, least_p, sampled_map, sampled_table};
 pub use region::{RegionRow, region};
 pub use subject::{Grid, Subject};

@@ -8,8 +8,7 @@ use singletrack_figures::output::print;
 use super::{
     arguments::{DrawnFormat, LoopArgs, MapArgs, SaturationArgs},
     figures,
-    subject::{Grid, Subject},
-    subject::{write, write_json},
+    subject::{Grid, Subject, write, write_json},
 };
 use crate::{Result, table::Table};
 
@@ -17,15 +16,7 @@ pub(super) fn run(args: &MapArgs) -> Result {
     let subject = args.subject.subject()?;
     let dl = args.points.deviations_or(|| subject.usual_deviations());
     let region = region(&subject, &args.points.speeds, &dl)?;
-    let table = Table::of(
-        &region,
-        &[
-            ("speed_m_s", |row| row.speed_m_s),
-            ("dl_m", |row| row.dl_m),
-            ("largest_re_per_s", |row| row.largest_re_per_s),
-            ("stable", |row| f64::from(u8::from(row.stable))),
-        ],
-    );
+    let table = Table::of("speed_m_s,dl_m,largest_re_per_s,stable", &region);
     Ok(write(args.format, &subject, &table, &region)?)
 }
 
@@ -131,7 +122,10 @@ pub(super) fn run_basin(args: &BasinArgs) -> Result {
         });
     }
     match args.format {
-        DrawnFormat::Csv => print(&basin_table(&rows).to_csv())?,
+        DrawnFormat::Csv => {
+            let header = "speed_m_s,point_distance_m,yaw_rad,beyond_amplitude_rad";
+            print(&Table::of(header, &rows).to_csv())?;
+        }
         DrawnFormat::Json => write_json(&subject, &rows)?,
         DrawnFormat::Svg => {
             let regains = move |[speed, distance]: [f64; 2], degrees: f64| {
@@ -141,18 +135,4 @@ pub(super) fn run_basin(args: &BasinArgs) -> Result {
         }
     }
     Ok(())
-}
-
-fn basin_table(rows: &[BasinRow]) -> Table {
-    Table::of(
-        rows,
-        &[
-            ("speed_m_s", |row| row.speed_m_s),
-            ("point_distance_m", |row| row.point_distance_m),
-            ("yaw_rad", |row| row.yaw_rad),
-            ("beyond_amplitude_rad", |row| {
-                row.beyond_amplitude_rad.unwrap_or(f64::NAN)
-            }),
-        ],
-    )
 }

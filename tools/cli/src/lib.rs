@@ -7,7 +7,7 @@ pub mod lab;
 #[cfg(feature = "operator")]
 pub mod operator;
 pub mod program;
+pub mod progress;
 pub mod viewers;
 
 mod interrupt;
-mod progress;

@@ -2,8 +2,7 @@
 //! stretches of it that can be used.
 
 use nalgebra::{Matrix3, Vector3};
-use singletrack_control::words;
-use singletrack_control::wrap;
+use singletrack_control::{words, wrap};
 use singletrack_statistics::{Line, RootMeanSquare};
 
 use super::error::IdentificationError;
@@ -498,20 +497,16 @@ fn check(
     let mut last = f64::NEG_INFINITY;
     for (index, (time_s, values)) in samples.enumerate() {
         if !(time_s.is_finite() && values.iter().all(|value| value.is_finite())) {
-            return Err(IdentificationError::NotFinite { what, index });
+            return Err(IdentificationError::NotFinite(what, index));
         }
         if time_s < last {
-            return Err(IdentificationError::OutOfOrder {
-                what,
-                index,
-                time_s,
-            });
+            return Err(IdentificationError::OutOfOrder(what, index, time_s));
         }
         last = time_s;
         count = index + 1;
     }
     if count < 2 {
-        return Err(IdentificationError::TooFew { what, count });
+        return Err(IdentificationError::TooFew(what, count));
     }
     Ok(())
 }

@@ -7,32 +7,15 @@ use super::parameter::Parameter;
 /// The reason for which an identification fails.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IdentificationError {
-    /// A list of the drive has fewer than two samples.
-    #[error("there are {count} {what} in the drive: record one with motion capture and board")]
-    TooFew {
-        /// The samples of the list.
-        what: &'static str,
-        /// The number of samples.
-        count: usize,
-    },
-    /// A sample is not finite.
-    #[error("number {index} of the {what} is not finite: the record is damaged there")]
-    NotFinite {
-        /// The samples of the list.
-        what: &'static str,
-        /// Its index, from 0.
-        index: usize,
-    },
-    /// A sample is older than its predecessor.
-    #[error("number {index} of the {what}, at {time_s} s, is older than the one before it")]
-    OutOfOrder {
-        /// The samples of the list.
-        what: &'static str,
-        /// Its index, from 0.
-        index: usize,
-        /// Its time, in s.
-        time_s: f64,
-    },
+    /// A list of these samples has fewer than two: this number.
+    #[error("there are {1} {0} in the drive: record one with motion capture and board")]
+    TooFew(&'static str, usize),
+    /// Of these samples the one with this index, from 0, is not finite.
+    #[error("number {1} of the {0} is not finite: the record is damaged there")]
+    NotFinite(&'static str, usize),
+    /// Of these samples the one with this index, from 0, and time, in s, is older than its predecessor.
+    #[error("number {1} of the {0}, at {2} s, is older than the one before it")]
+    OutOfOrder(&'static str, usize, f64),
     /// The car was too slow.
     #[error(
         "the car was never faster than {fastest:.2} m/s for long, and only driving above \
@@ -64,16 +47,13 @@ pub enum IdentificationError {
          has the steering that was driven"
     )]
     NotMoved,
-    /// The drive says less of some parameters than their start values do.
+    /// The drive says less of these parameters than their start values do.
     #[error(
         "this drive does not determine {}: weave for a minute at 1.5 m/s or more, with steps of the \
          steering to both sides and up to nine tenths of the friction (docs/identification.md), or name \
-         only the others (--parameters)", names(.parameters)
+         only the others (--parameters)", names(.0)
     )]
-    NotDetermined {
-        /// Them.
-        parameters: Vec<Parameter>,
-    },
+    NotDetermined(Vec<Parameter>),
     /// Parameters ended at the bounds of their ranges.
     #[error(
         "{} reached the bound of its range, from {start} to {value}: start closer to the car (--vehicle), \
@@ -88,74 +68,51 @@ pub enum IdentificationError {
         /// The bound.
         value: f64,
     },
-    /// The fit did not converge.
+    /// The fit did not converge, with a last change of so many standard deviations.
     #[error(
-        "the fit has not settled: its last round moved a parameter by {moved:.2} standard deviations; start \
+        "the fit has not settled: its last round moved a parameter by {0:.2} standard deviations; start \
          closer to the car (--vehicle), estimate fewer parameters, or weave for longer and to both sides"
     )]
-    NotSettled {
-        /// The last change, in standard deviations.
-        moved: f64,
-    },
-    /// The positions have a wrong unit.
-    #[error("the poses move at {median:.0} m/s: check the unit of the positions")]
-    TooFast {
-        /// The median speed, in m/s.
-        median: f64,
-    },
-    /// A channel of the IMU never changes.
+    NotSettled(f64),
+    /// The positions have a wrong unit: their median speed is this, in m/s.
+    #[error("the poses move at {0:.0} m/s: check the unit of the positions")]
+    TooFast(f64),
+    /// This channel of the IMU always has this value.
     #[error(
-        "the {what} of the IMU is {value} in every sample: it is not measured, or its column or sensor is dead"
+        "the {0} of the IMU is {1} in every sample: it is not measured, or its column or sensor is dead"
     )]
-    Dead {
-        /// The channel.
-        what: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// The yaw is not that of the car.
+    Dead(&'static str, f64),
+    /// The yaw is not that of the car: the mean course less yaw, in rad.
     #[error(
         "the yaw of the poses is {:.0} degrees off the direction of travel on average, or all around it: check \
-         its sign and the yaw of the rigid body on the car", off.to_degrees()
+         its sign and the yaw of the rigid body on the car", .0.to_degrees()
     )]
-    YawDiffers {
-        /// Mean course less yaw, in rad.
-        off: f64,
-    },
-    /// The gyro and the cameras measure different yaw rates.
+    YawDiffers(f64),
+    /// The gyro and the cameras measure different yaw rates: the gyro's over that of the cameras.
     #[error(
-        "the gyro measures {ratio:.2} times the yaw rate of the cameras: check its sign, its unit, its mounting and \
+        "the gyro measures {0:.2} times the yaw rate of the cameras: check its sign, its unit, its mounting and \
          its rate"
     )]
-    GyroDiffers {
-        /// The gyro's yaw rate over that of the cameras.
-        ratio: f64,
-    },
-    /// The car turns against its steering.
+    GyroDiffers(f64),
+    /// The car turns against its steering: the correlation of steering angle and curvature.
     #[error(
-        "the car turns against its steering (correlation {correlation:.2}): check the sign of the steering, left is \
+        "the car turns against its steering (correlation {0:.2}): check the sign of the steering, left is \
          positive; a car that slides is not identified"
     )]
-    SteeringOpposes {
-        /// Of steering angle and curvature.
-        correlation: f64,
-    },
+    SteeringOpposes(f64),
     /// The settings name no parameter.
     #[error("no parameter is selected: name some, such as c_f,c_r,i_z")]
     NoParameter,
-    /// The fit left the range in which the model is defined.
+    /// The fit left the range in which the model is defined, with these last values.
     #[error(
         "the fit does not converge; its last values were C_f {:.3} N/rad, C_r {:.3} N/rad, I_z {:.5} kg m²: \
          start from a vehicle that is closer (--vehicle), and check mass, wheelbase and the servo's \
          calibration",
-        .vehicle.front_cornering_stiffness_n_rad,
-        .vehicle.rear_cornering_stiffness_n_rad,
-        .vehicle.yaw_inertia_kg_m2
+        .0.front_cornering_stiffness_n_rad,
+        .0.rear_cornering_stiffness_n_rad,
+        .0.yaw_inertia_kg_m2
     )]
-    Diverged {
-        /// The last values.
-        vehicle: VehicleParameters,
-    },
+    Diverged(VehicleParameters),
 }
 
 fn names(parameters: &[Parameter]) -> String {

@@ -6,7 +6,7 @@ use super::{
     data::{DriveData, ServoFrames, ServoTarget, Span},
     error::IdentificationError,
     filter::{FilterRun, run_filter},
-    least_squares::{Minimum, minimise},
+    least_squares::minimise,
     noise::NoiseLevels,
     parameter::{Parameter, Values},
     predictor::Prediction,
@@ -30,8 +30,6 @@ pub(super) struct Fit {
     /// The largest change of a parameter in the last round, in standard deviations, if the
     /// fit has not converged.
     pub(super) unsettled: Option<f64>,
-    /// Evaluations of the prediction errors.
-    pub(super) evaluations: usize,
 }
 
 /// A drive, the start values, and the choices of the fit.
@@ -72,7 +70,6 @@ impl Task<'_> {
         // The most likely frames. Each candidate has its own noise levels: with those of the
         // start, or of another candidate, wrong frames may have the larger likelihood.
         let mut tried: Vec<(f64, ServoFrames, Vec<f64>)> = Vec::new();
-        let mut evaluations = 0;
         let single = candidates.len() == 1;
         for frames in candidates {
             let servo = frames.of(&self.data.servo);
@@ -84,9 +81,7 @@ impl Task<'_> {
                     noise = self.likely_noise(&servo, &u, noise, &sampled, 2)?;
                 }
                 let run = self.run_filter(&servo, &u, &noise)?;
-                let (next, count) = self.minimise(&servo, &run, &u, 2 * PATIENCE)?;
-                evaluations += count;
-                u = next;
+                u = self.minimise(&servo, &run, &u, 2 * PATIENCE)?;
             }
             let noise = if single {
                 noise
@@ -111,8 +106,7 @@ impl Task<'_> {
                 noise = self.likely_noise(&servo, &u, noise, &sampled, rounds)?;
             }
             let run = self.run_filter(&servo, &u, &noise)?;
-            let (next, count) = self.minimise(&servo, &run, &u, PATIENCE)?;
-            evaluations += count;
+            let next = self.minimise(&servo, &run, &u, PATIENCE)?;
             let prediction = self.prediction(&servo, &run);
             let spread = spread(&prediction, &next, &prediction.times(), BLOCK)
                 .ok_or_else(|| self.diverged(&next))?;
@@ -137,7 +131,6 @@ impl Task<'_> {
                     spread,
                     lead,
                     unsettled: (!settled).then_some(moved),
-                    evaluations,
                 });
             }
         }
@@ -223,9 +216,7 @@ impl Task<'_> {
     }
 
     pub(super) fn diverged(&self, u: &[f64]) -> IdentificationError {
-        IdentificationError::Diverged {
-            vehicle: self.values(u).vehicle(),
-        }
+        IdentificationError::Diverged(self.values(u).vehicle())
     }
 
     fn minimise(
@@ -234,11 +225,11 @@ impl Task<'_> {
         run: &FilterRun,
         u: &[f64],
         patience: usize,
-    ) -> Result<(Vec<f64>, usize), IdentificationError> {
+    ) -> Result<Vec<f64>, IdentificationError> {
         let prediction = self.prediction(servo, run);
         let count = prediction.rows() + u.len();
         // Running out of evaluations is no failure: the next round continues with new gains.
-        let Minimum { u, evaluations } = minimise(
+        let u = minimise(
             u,
             |u| prediction.residuals_or_outside(u, count),
             |u| prediction.jacobian(u),
@@ -247,6 +238,6 @@ impl Task<'_> {
         if !u.iter().all(|u| u.is_finite()) {
             return Err(self.diverged(&u));
         }
-        Ok((u, evaluations))
+        Ok(u)
     }
 }

@@ -49,8 +49,6 @@ pub struct Identification {
     pub score: Score,
     /// Reasons to doubt the estimates.
     pub warnings: Vec<Warning>,
-    /// Number of evaluations of the prediction errors.
-    pub evaluations: usize,
 }
 
 impl Identification {
@@ -182,7 +180,6 @@ fn identified(
         warnings,
         stretches,
         track: fit.run.track,
-        evaluations: fit.evaluations,
     })
 }
 
@@ -294,10 +291,10 @@ fn check(fit: &Fit, estimates: &[Estimate]) -> Result<(), IdentificationError> {
         }
     }
     if !parameters.is_empty() {
-        return Err(IdentificationError::NotDetermined { parameters });
+        return Err(IdentificationError::NotDetermined(parameters));
     }
     if let Some(moved) = fit.unsettled {
-        return Err(IdentificationError::NotSettled { moved });
+        return Err(IdentificationError::NotSettled(moved));
     }
     estimates
         .iter()

@@ -2,8 +2,7 @@
 
 use core::str::FromStr;
 
-use singletrack_control::VehicleParameters;
-use singletrack_control::words;
+use singletrack_control::{VehicleParameters, words};
 
 use crate::dual::Dual;
 

@@ -22,7 +22,7 @@ pub(super) fn check_unit(data: &DriveData) -> Result<(), IdentificationError> {
     let mut speeds: Vec<f64> = speeds.collect();
     speeds.sort_by(f64::total_cmp);
     match speeds.get(speeds.len() / 2) {
-        Some(median) if *median > FASTEST => Err(IdentificationError::TooFast { median: *median }),
+        Some(median) if *median > FASTEST => Err(IdentificationError::TooFast(*median)),
         _ => Ok(()),
     }
 }
@@ -43,7 +43,7 @@ pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), Iden
             && !first.is_nan()
             && values.all(|value| value.to_bits() == first.to_bits())
         {
-            return Err(IdentificationError::Dead { what, value: first });
+            return Err(IdentificationError::Dead(what, first));
         }
     }
     let times = data.poses.iter().map(|pose| pose.time_s);
@@ -59,13 +59,13 @@ pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), Iden
     let (sine, cosine) = (sum(f64::sin) / count, sum(f64::cos) / count);
     if cosine < ALONG {
         let off = sine.atan2(cosine);
-        return Err(IdentificationError::YawDiffers { off });
+        return Err(IdentificationError::YawDiffers(off));
     }
     if let Some(scale) = GyroScale::of(data, spans)
         && !SCALE.contains(&scale.value)
         && scale.turning > TURNING
     {
-        return Err(IdentificationError::GyroDiffers { ratio: scale.value });
+        return Err(IdentificationError::GyroDiffers(scale.value));
     }
     let pairs = moved.iter().filter_map(|(time, seen)| {
         let after = data.servo.partition_point(|target| target.time_s <= *time);
@@ -74,7 +74,7 @@ pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), Iden
     });
     let correlation = correlation(&pairs.collect::<Vec<_>>());
     if correlation < OPPOSES {
-        return Err(IdentificationError::SteeringOpposes { correlation });
+        return Err(IdentificationError::SteeringOpposes(correlation));
     }
     Ok(())
 }

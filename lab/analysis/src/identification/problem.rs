@@ -3,8 +3,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use num_dual::DualSVec64;
-use singletrack_control::words;
-use singletrack_control::{SlipAngles, Tyres};
+use singletrack_control::{SlipAngles, Tyres, words};
 
 use super::{
     data::ServoFrames,
@@ -115,6 +114,7 @@ pub(super) struct Structure {
     pub(super) slip_angles: SlipAngles,
 }
 
+#[cfg(test)]
 impl From<Tyres> for Structure {
     fn from(tyres: Tyres) -> Self {
         Self {

@@ -214,7 +214,6 @@ impl Task<'_> {
         scale: Option<GyroScale>,
         noise: &NoiseLevels,
     ) -> Result<(f64, Fit), IdentificationError> {
-        let mut evaluations = 0;
         let mut sizes = None;
         let mut moved = f64::INFINITY;
         let mut run = self.run_filter(servo, &u, noise)?;
@@ -255,29 +254,26 @@ impl Task<'_> {
                     spread,
                     lead: f64::INFINITY,
                     unsettled: (moved >= SETTLED).then_some(moved),
-                    evaluations,
                     run,
                 };
                 return Ok((cost, fit));
             }
             let residuals = problem.residuals(&u);
             let rows = residuals.ok_or_else(|| self.diverged(&u))?.len();
-            let minimum = minimise(
+            let next = minimise(
                 &u,
                 |u| problem.residuals_or_outside(u, rows),
                 |u| problem.jacobian(u),
                 2 * (u.len() + 1),
             );
-            evaluations += minimum.evaluations;
-            let jacobian = problem
-                .jacobian(&minimum.u)
-                .ok_or_else(|| self.diverged(&u))?;
+            let jacobian = problem.jacobian(&next);
+            let jacobian = jacobian.ok_or_else(|| self.diverged(&u))?;
             let information = jacobian.tr_mul(&jacobian).diagonal();
-            let moves = minimum.u.iter().zip(&u).zip(information.iter());
+            let moves = next.iter().zip(&u).zip(information.iter());
             moved = moves
                 .map(|((next, last), information)| (next - last).abs() * information.sqrt())
                 .fold(0.0, f64::max);
-            u = minimum.u;
+            u = next;
         }
         Err(self.diverged(&u))
     }

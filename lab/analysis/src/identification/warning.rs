@@ -15,29 +15,19 @@ use super::{
 /// A reason to doubt an identification.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Warning {
-    /// The drive hardly determines a parameter.
+    /// The drive hardly determines this parameter: its standard deviation over its value.
     #[error(
-        "{parameter} is poorly determined by this drive: its standard deviation is {:.0} % of its \
+        "{} is poorly determined by this drive: its standard deviation is {:.0} % of its \
          value; steer more and faster at 1.5 m/s or more (docs/identification.md)",
-        100.0 * relative
+        .0, 100.0 * .1
     )]
-    NotTold {
-        /// The parameter.
-        parameter: Parameter,
-        /// Its standard deviation over its value.
-        relative: f64,
-    },
-    /// The drive does not distinguish two parameters.
+    NotTold(Parameter, f64),
+    /// The drive does not distinguish these two parameters, with this correlation.
     #[error(
-        "this drive does not distinguish {} from {} (correlation {correlation:.3}): record another, \
-         at several speeds and with steering steps to both sides", .parameters[0], .parameters[1]
+        "this drive does not distinguish {} from {} (correlation {:.3}): record another, \
+         at several speeds and with steering steps to both sides", .0[0], .0[1], .1
     )]
-    Alike {
-        /// The two parameters.
-        parameters: [Parameter; 2],
-        /// Their correlation.
-        correlation: f64,
-    },
+    Alike([Parameter; 2], f64),
     /// The simulation's error was minimised instead of the prediction's.
     #[error(
         "the car does not behave as the model does, or the prediction's fit did not settle: the parameters are \
@@ -52,63 +42,43 @@ pub enum Warning {
         /// The same with the parameters that predict best; none if there are none.
         prediction: Option<f64>,
     },
-    /// The board's periods that begin a servo pulse are uncertain.
+    /// The board's periods that begin a servo pulse are uncertain: log-likelihood above that of the next
+    /// candidate.
     #[error(
         "this drive hardly shows which of the board's records begin a servo pulse (log-likelihood \
-         {lead:.1} above the next): the errors of delay, lag and {} may exceed their intervals; \
+         {:.1} above the next): the errors of delay, lag and {} may exceed their intervals; \
          steer in faster steps",
-        Parameter::YawInertia
+        .0, Parameter::YawInertia
     )]
-    FramesGuessed {
-        /// Log-likelihood above that of the next candidate.
-        lead: f64,
-    },
-    /// There are forces that the model does not explain.
+    FramesGuessed(f64),
+    /// There are forces of this density, in N/√Hz, that the model does not explain.
     #[error(
         "forces that the model does not explain are {:.0} mN/√Hz on an axle: mass, l_f, friction or the \
          steering gain may be wrong, and then the errors of the estimates far exceed their intervals; \
-         estimate l_f and friction jointly (--parameters c_f,c_r,i_z,l_f,friction)", 1e3 * density
+         estimate l_f and friction jointly (--parameters c_f,c_r,i_z,l_f,friction)", 1e3 * .0
     )]
-    Unexplained {
-        /// Their density, in N/√Hz.
-        density: f64,
-    },
-    /// The tyres are modelled as linear, and the car came near to sliding.
+    Unexplained(f64),
+    /// The tyres are modelled as linear, and the car came near to sliding: the largest lateral
+    /// acceleration over μ g.
     #[error(
         "linear tyres suit a car that does not slide, and this one reached {:.0} % of the friction: beyond \
-         half of it the estimated stiffnesses are too small (docs/identification.md)", 100.0 * share
+         half of it the estimated stiffnesses are too small (docs/identification.md)", 100.0 * .0
     )]
-    LinearTyres {
-        /// The largest lateral acceleration over μ g.
-        share: f64,
-    },
-    /// The usable part of the drive is short.
+    LinearTyres(f64),
+    /// The usable part of the drive is short: its duration, in s.
+    #[error("only {0:.0} s of the drive were used: a minute of weaving gives narrower intervals")]
+    Short(f64),
+    /// The model explains nothing of this output, with this fit in per cent.
     #[error(
-        "only {seconds:.0} s of the drive were used: a minute of weaving gives narrower intervals"
+        "the model explains nothing of the {} (fit {:.0} %): check the sign, the unit and the mounting of \
+         what measures it", .0.name().replace('_', " "), .1
     )]
-    Short {
-        /// The duration, in s.
-        seconds: f64,
-    },
-    /// The model explains nothing of an output.
+    Unfitted(Output, f64),
+    /// The car was slow, so that the tyres hardly slipped: its mean speed, in m/s.
     #[error(
-        "the model explains nothing of the {} (fit {fit_percent:.0} %): check the sign, the unit and the mounting of \
-         what measures it", .output.name().replace('_', " ")
+        "the mean speed was {0:.2} m/s, at which the tyres hardly slip: drive at 1.5 m/s or more"
     )]
-    Unfitted {
-        /// The output.
-        output: Output,
-        /// Its fit, in per cent.
-        fit_percent: f64,
-    },
-    /// The car was slow, so that the tyres hardly slipped.
-    #[error(
-        "the mean speed was {speed:.2} m/s, at which the tyres hardly slip: drive at 1.5 m/s or more"
-    )]
-    Slow {
-        /// The mean speed, in m/s.
-        speed: f64,
-    },
+    Slow(f64),
     /// The prediction errors are correlated over time.
     #[error(
         "the prediction errors of {} are not white (autocorrelation {autocorrelation:.2} after {lag} samples): \
@@ -150,19 +120,18 @@ pub(super) fn is_unexplained(fit: &Fit) -> bool {
 pub(super) fn of_fit(fit: &Fit, tyres: Tyres, criterion: Criterion) -> Vec<Warning> {
     let mut warnings = Vec::new();
     if fit.lead < GUESS {
-        warnings.push(Warning::FramesGuessed { lead: fit.lead });
+        warnings.push(Warning::FramesGuessed(fit.lead));
     }
     let vehicle = fit.values.vehicle();
     if criterion == Criterion::Prediction && is_unexplained(fit) {
-        let density = fit.noise.force_density;
-        warnings.push(Warning::Unexplained { density });
+        warnings.push(Warning::Unexplained(fit.noise.force_density));
     }
     if tyres == Tyres::Linear {
         let track = fit.run.track.iter();
         let motions = track.map(|point| point.estimate.motion);
         let aside = motions.map(|motion| (motion.speed * motion.yaw_rate).abs());
         let share = aside.fold(0.0, f64::max) / (vehicle.friction * GRAVITY);
-        warnings.push(Warning::LinearTyres { share });
+        warnings.push(Warning::LinearTyres(share));
     }
     warnings
 }
@@ -175,10 +144,7 @@ pub(super) fn of_score(score: &Score) -> Vec<Warning> {
         .filter(|one| !one.rms.is_nan())
         .filter(|one| one.fit_percent.is_nan() || one.fit_percent <= 0.0);
     unfitted
-        .map(|one| Warning::Unfitted {
-            output: one.output,
-            fit_percent: one.fit_percent,
-        })
+        .map(|one| Warning::Unfitted(one.output, one.fit_percent))
         .collect()
 }
 
@@ -196,10 +162,7 @@ pub(super) fn warnings(
         let relative = estimate.standard_deviation / estimate.value.abs();
         let ratio = !Parameter::NUISANCE.contains(&parameter);
         if ratio && (relative.is_nan() || relative > VAGUE) {
-            warnings.push(Warning::NotTold {
-                parameter,
-                relative,
-            });
+            warnings.push(Warning::NotTold(parameter, relative));
         }
     }
     for (index, one) in estimates.iter().enumerate() {
@@ -210,21 +173,19 @@ pub(super) fn warnings(
                     || estimate.standard_deviation > VAGUE * estimate.value.abs()
             };
             if correlation.abs() > ALIKE && (vague(one) || vague(other)) {
-                warnings.push(Warning::Alike {
-                    parameters: [one.parameter, other.parameter],
-                    correlation,
-                });
+                let parameters = [one.parameter, other.parameter];
+                warnings.push(Warning::Alike(parameters, correlation));
             }
         }
     }
     let seconds: f64 = stretches.iter().map(Span::seconds).sum();
     if seconds < SHORT {
-        warnings.push(Warning::Short { seconds });
+        warnings.push(Warning::Short(seconds));
     }
     let count = track.len().max(1) as f64;
     let speed = track.iter().map(TrackPoint::speed_m_s).sum::<f64>() / count;
     if speed < SLOW {
-        warnings.push(Warning::Slow { speed });
+        warnings.push(Warning::Slow(speed));
     }
     for residuals in residuals {
         let worst = (1..)
@@ -270,7 +231,7 @@ mod tests {
                 .collect();
             let found = warnings(&estimates, |_, _| 0.0, &[], &[], &[]);
             let vague = found.into_iter().filter_map(|warning| match warning {
-                Warning::NotTold { parameter, .. } => Some(parameter),
+                Warning::NotTold(parameter, _) => Some(parameter),
                 _ => None,
             });
             vague.collect::<Vec<_>>()

@@ -96,24 +96,13 @@ impl ClosedLoop {
         let a = Matrix4::from_fn(|i, j| slopes[i][j].middle());
         let fast = a.fixed_view::<2, 2>(1, 1).try_inverse()?;
         let settled = -fast * a.fixed_view::<2, 1>(1, 3);
-        let rows = Matrix4::new(
-            1.0,
-            0.0,
-            0.0,
-            1.0, //
-            1.0,
-            0.0,
-            0.0,
-            0.0, //
-            0.0,
-            1.0,
-            0.0,
-            -settled[0], //
-            0.0,
-            0.0,
-            1.0,
-            -settled[1],
-        );
+        // By columns.
+        let rows = Matrix4::from([
+            [1.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+            [1.0, 0.0, -settled[0], -settled[1]],
+        ]);
         let q = rows.transpose() * Matrix4::from_diagonal(&Vector4::from(*weights)) * rows;
         let (one, at) = (Matrix4::<f64>::identity(), a.transpose());
         let equation: SMatrix<f64, 16, 16> = one.kronecker(&at) + at.kronecker(&one);

@@ -1,7 +1,6 @@
 //! The closed loop: a car under a linearising law that may assume a wrong centre of mass.
 
-use singletrack_control::words;
-use singletrack_control::{SlipAngles, Tyres, VehicleParameterError, VehicleParameters};
+use singletrack_control::{SlipAngles, Tyres, VehicleParameterError, VehicleParameters, words};
 
 words! {
     /// A linearising law.

@@ -1,8 +1,7 @@
 //! Hopf bifurcations over dl, where the steady motion loses its stability.
 
 use nalgebra::Complex;
-use singletrack_control::VehicleParameters;
-use singletrack_control::words;
+use singletrack_control::{VehicleParameters, words};
 
 use super::{
     characteristic::{CharacteristicPolynomial, front_point_quadratic, front_point_quadratic_in_p},

@@ -36,8 +36,7 @@ pub use hopf::{
     Criticality, HopfPoint, critical_speed, hopf_points, infinite_speed_limit,
     smallest_point_distance,
 };
-pub use limits::Eigenvalues;
-pub use limits::{first_unstable_speed, least_point_distance};
+pub use limits::{Eigenvalues, first_unstable_speed, least_point_distance};
 pub use lyapunov::Lyapunov;
 pub use one_length::OneLength;
 pub use sampled::{

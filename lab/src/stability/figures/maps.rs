@@ -4,7 +4,7 @@
 use singletrack_analysis::stability::{HopfPoint, LimitCycle};
 use singletrack_figures::figure::{
     Axis, Callout, Callouts, Column, Curve, Figure, Grid, GridError, Level, Look, Map, Panel,
-    Shade, Symbol, Width,
+    Shade, Symbol,
 };
 
 use super::{
@@ -32,12 +32,7 @@ pub fn region(scene: &Scene, rows: &[RegionRow]) -> Result<Figure, GridError> {
     let limits = scene.limits.iter().copied();
     let limits = limits.filter(|limit| frame.holds_deviation(*limit));
     let mut levels = scene.range_ends();
-    levels.extend(limits.map(|value| Level {
-        name: "$v$ → ∞".to_owned(),
-        value,
-        label: String::new(),
-        look: Look::Asymptote,
-    }));
+    levels.extend(limits.map(|value| Level::new("$v$ → ∞", value, Look::Asymptote)));
     let panel = Panel {
         height_mm: 62.0,
         map: Some(Map {
@@ -59,16 +54,14 @@ pub fn region(scene: &Scene, rows: &[RegionRow]) -> Result<Figure, GridError> {
             .collect(),
         ..Panel::new(SPEED, DEVIATION)
     };
-    Ok(Figure {
-        title: format!("Stability of the steady motion under {}", scene.law),
-        caption: "Where the steady motion is asymptotically stable and where it is not, by speed \
-                  and by how far behind its place the centre of mass is believed to be. At the \
-                  Hopf points a pair of eigenvalues crosses the imaginary axis; where the first \
-                  Lyapunov coefficient (MatCont's) is positive the bifurcation is subcritical."
-            .to_owned(),
-        width: Width::Column,
-        panels: vec![panel],
-    })
+    Ok(Figure::column(
+        format!("Stability of the steady motion under {}", scene.law),
+        "Where the steady motion is asymptotically stable and where it is not, by speed \
+         and by how far behind its place the centre of mass is believed to be. At the \
+         Hopf points a pair of eigenvalues crosses the imaginary axis; where the first \
+         Lyapunov coefficient (MatCont's) is positive the bifurcation is subcritical.",
+        vec![panel],
+    ))
 }
 
 /// First Lyapunov coefficients at points that are evenly spread along the curve.
@@ -117,15 +110,14 @@ pub fn eigenvalue(
         "It has the same sign everywhere."
     };
     let name = format!("λ{}", subscript(number));
-    Ok(Figure {
-        title: format!("Real part of {name} under {}", scene.law),
-        caption: format!(
+    Ok(Figure::column(
+        format!("Real part of {name} under {}", scene.law),
+        format!(
             "Real part of eigenvalue {name} of the linearised dynamics, in 1/s, with lines of \
              equal value; eigenvalues are numbered by ascending real part. {ending}"
         ),
-        width: Width::Column,
-        panels: vec![panel(scene, real_part, 56.0)],
-    })
+        vec![panel(scene, real_part, 56.0)],
+    ))
 }
 
 /// All eigenvalues in one figure: four in two rows, three in one.
@@ -145,15 +137,13 @@ pub fn eigenvalues(scene: &Scene, rows: &[EigenvalueRow]) -> Result<Figure, Grid
             })
         })
         .collect();
-    Ok(Figure {
-        title: format!("Real parts of the eigenvalues under {}", scene.law),
-        caption: "Real parts of the eigenvalues of the linearised dynamics, numbered by ascending \
-                  real part, with lines of equal value: light where they are negative, dark where \
-                  they are not."
-            .to_owned(),
-        width: Width::Page,
-        panels: panels?,
-    })
+    Ok(Figure::page(
+        format!("Real parts of the eigenvalues under {}", scene.law),
+        "Real parts of the eigenvalues of the linearised dynamics, numbered by ascending \
+         real part, with lines of equal value: light where they are negative, dark where \
+         they are not.",
+        panels?,
+    ))
 }
 
 fn real_part(number: usize, rows: &[EigenvalueRow]) -> Result<Grid, GridError> {
@@ -241,21 +231,20 @@ pub fn cycles(cycles: &[LimitCycle], hopf: &[HopfPoint], speed: f64) -> Figure {
         let amplitude = column(|cycle| cycle.amplitude.to_degrees());
         Curve::new(name, look, &column(|cycle| cycle.deviation), amplitude)
     });
-    Figure {
-        title: "Limit cycles".to_owned(),
-        caption: format!(
+    Figure::column(
+        "Limit cycles",
+        format!(
             "Half the peak-to-peak steering angle of the limit cycles around the straight motion \
              (at 0°) at {speed} m/s."
         ),
-        width: Width::Column,
-        panels: vec![Panel {
+        vec![Panel {
             curves: straight(cycles, hopf).into_iter().chain(curves).collect(),
             ..Panel::new(
                 DEVIATION,
                 Axis::new("amplitude", Some(Symbol::new("δ", "")), "°"),
             )
         }],
-    }
+    )
 }
 
 /// The basin over speed and p; `regains` says whether a yaw error, in degrees, decays there.
@@ -273,13 +262,11 @@ pub(in super::super) fn basin(
         |row| row.yaw_rad.to_degrees(),
     )?
     .bisected(regains);
-    Ok(Figure {
-        title: "Basin of the straight motion".to_owned(),
-        caption: "Yaw error from which on the car does not regain the straight motion, in \
-                  degrees: the darker, the less."
-            .to_owned(),
-        width: Width::Column,
-        panels: vec![Panel {
+    Ok(Figure::column(
+        "Basin of the straight motion",
+        "Yaw error from which on the car does not regain the straight motion, in \
+         degrees: the darker, the less.",
+        vec![Panel {
             height_mm: 56.0,
             map: Some(Map {
                 bands: vec![
@@ -297,7 +284,7 @@ pub(in super::super) fn basin(
                 Axis::new("distance of P", Some(Symbol::new("p", "")), "m"),
             )
         }],
-    })
+    ))
 }
 
 /// The yaw errors that are proved to decay, beside those that decay in simulation.
@@ -309,13 +296,10 @@ pub(in super::super) fn attraction(rows: &[AttractionRow]) -> Figure {
         y: rows.iter().map(|row| yaw(row).to_degrees()).collect(),
         time: None,
     };
-    Figure {
-        title: "Region of attraction of the straight motion".to_owned(),
-        caption:
-            "Yaw error up to which the straight motion is regained: proved, and in simulation."
-                .to_owned(),
-        width: Width::Column,
-        panels: vec![Panel {
+    Figure::column(
+        "Region of attraction of the straight motion",
+        "Yaw error up to which the straight motion is regained: proved, and in simulation.",
+        vec![Panel {
             height_mm: 56.0,
             curves: vec![
                 curve("proved", Look::Actual, |row| row.proved_yaw_rad),
@@ -326,5 +310,5 @@ pub(in super::super) fn attraction(rows: &[AttractionRow]) -> Figure {
                 Axis::new("yaw error", Some(Symbol::new("ψ", "")), "°"),
             )
         }],
-    }
+    )
 }

@@ -1,7 +1,7 @@
 //! The sampled loop, which the paper leaves out: ticks, delay and missing poses.
 
 use singletrack_analysis::stability::MarginLimits;
-use singletrack_figures::figure::{Curve, Figure, Grid, GridError, Map, Panel, Shade, Width};
+use singletrack_figures::figure::{Curve, Figure, Grid, GridError, Map, Panel, Shade};
 
 use super::{
     super::{SampledRow, TimingArgs},
@@ -119,18 +119,17 @@ fn figure(scene: &Scene, timing: TimingArgs, what: &str, caption: &str, map: Map
             loop_text += ", and the law sees the state predicted to the wheels";
         }
     }
-    Figure {
-        title: format!("{what} under {}", scene.law),
-        caption: format!("{caption}{loop_text}.{hopf}"),
-        width: Width::Column,
-        panels: vec![Panel {
+    Figure::column(
+        format!("{what} under {}", scene.law),
+        format!("{caption}{loop_text}.{hopf}"),
+        vec![Panel {
             height_mm: 56.0,
             curves,
             levels: scene.range_ends(),
             map: Some(map),
             ..Panel::new(SPEED, DEVIATION)
         }],
-    }
+    )
 }
 
 /// The resolution of delays, in ms.

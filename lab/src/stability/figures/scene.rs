@@ -69,10 +69,8 @@ impl Scene {
         [(low, "−$l_f$"), (high, "$l_r$")]
             .into_iter()
             .map(|(value, label)| Level {
-                name: "physically meaningful range".to_owned(),
-                value,
                 label: label.to_owned(),
-                look: Look::RangeEnd,
+                ..Level::new("physically meaningful range", value, Look::RangeEnd)
             })
             .collect()
     }

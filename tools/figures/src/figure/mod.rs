@@ -38,6 +38,30 @@ pub struct Figure {
     pub panels: Vec<Panel>,
 }
 
+impl Figure {
+    /// A figure of one column.
+    pub fn column(
+        title: impl Into<String>,
+        caption: impl Into<String>,
+        panels: Vec<Panel>,
+    ) -> Self {
+        Self {
+            title: title.into(),
+            caption: caption.into(),
+            width: Width::Column,
+            panels,
+        }
+    }
+
+    /// A figure of the whole page.
+    pub fn page(title: impl Into<String>, caption: impl Into<String>, panels: Vec<Panel>) -> Self {
+        Self {
+            width: Width::Page,
+            ..Self::column(title, caption, panels)
+        }
+    }
+}
+
 words! {
     /// How wide a figure is in a paper of two columns. Its word is its class in a style sheet.
     pub enum Width {
@@ -154,6 +178,24 @@ impl Axis {
             unit,
             scale: Scale::Linear,
             include: None,
+        }
+    }
+
+    /// The axis with a value that must be on it.
+    #[must_use]
+    pub const fn including(self, value: f64) -> Self {
+        Self {
+            include: Some(value),
+            ..self
+        }
+    }
+
+    /// The axis on a logarithmic scale.
+    #[must_use]
+    pub const fn logarithmic(self) -> Self {
+        Self {
+            scale: Scale::Log,
+            ..self
         }
     }
 }

@@ -39,6 +39,18 @@ pub struct Level {
     pub look: Look,
 }
 
+impl Level {
+    /// A level that the legend names.
+    pub fn new(name: &str, value: f64, look: Look) -> Self {
+        Self {
+            name: name.to_owned(),
+            value,
+            label: String::new(),
+            look,
+        }
+    }
+}
+
 /// Points of one kind, each with something written beside it at the end of a dotted
 /// leader.
 #[derive(Clone, Debug, PartialEq)]

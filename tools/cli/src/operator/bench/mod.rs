@@ -26,7 +26,7 @@ use singletrack_commissioning::{
 };
 use singletrack_control::{Position, Velocity};
 use singletrack_core::Config;
-use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Width};
+use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel};
 use singletrack_record::{Entry, LinkPhase};
 
 use crate::{arguments::ConfiguredSocket, interrupt::Interrupt};
@@ -346,13 +346,7 @@ fn svg(plot: &Plot) -> String {
             Curve::new(line.name, look, &column(0), column(1))
         })
         .collect();
-    Figure {
-        title: plot.title.to_owned(),
-        caption: plot.title.to_owned(),
-        width: Width::Column,
-        panels: vec![panel],
-    }
-    .to_svg()
+    Figure::column(plot.title, plot.title, vec![panel]).to_svg()
 }
 
 #[cfg(test)]

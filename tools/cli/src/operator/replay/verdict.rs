@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol, Width};
+use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol};
 use singletrack_pilot::{Mode, Output, Reason};
 use singletrack_record::{Entry, Meta, TickRecord};
 use singletrack_statistics::RootMeanSquare;
@@ -188,17 +188,15 @@ impl Deviations {
                 )
             }
         };
-        Figure {
-            title: "Commands, recorded and replayed".to_owned(),
-            caption: "What the pilot commanded, and what it would have commanded at the sight of \
-                      the same events with another configuration."
-                .to_owned(),
-            width: Width::Page,
-            panels: vec![
+        Figure::page(
+            "Commands, recorded and replayed",
+            "What the pilot commanded, and what it would have commanded at the sight of \
+             the same events with another configuration.",
+            vec![
                 panel(Axis::new("speed", Some(Symbol::new("v", "")), "m/s"), 1),
                 panel(Axis::new("steering", Some(Symbol::new("δ", "")), "rad"), 3),
             ],
-        }
+        )
     }
 }
 

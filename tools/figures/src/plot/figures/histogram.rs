@@ -3,7 +3,7 @@
 use singletrack_statistics::Distribution;
 
 use crate::{
-    figure::{Axis, Bar, Figure, Panel, Rule, Scale, Width},
+    figure::{Axis, Bar, Figure, Panel, Rule},
     plot::drive::Drive,
 };
 
@@ -35,9 +35,9 @@ pub(super) fn latency(drive: &Drive) -> Figure {
         (panel.bars, beyond) = (bars, outside);
         panel.rules = rules(&latency, "ms", 1);
     }
-    Figure {
-        title: "Latency from capture to command".to_owned(),
-        caption: format!(
+    Figure::column(
+        "Latency from capture to command",
+        format!(
             "From the middle of the cameras' exposure to the drive command that rests on it \
              leaving for the board, in ticks with a new pose{}.",
             match beyond {
@@ -45,20 +45,17 @@ pub(super) fn latency(drive: &Drive) -> Figure {
                 count => format!("; {count} more are beyond the axis"),
             }
         ),
-        width: Width::Column,
-        panels: vec![panel],
-    }
+        vec![panel],
+    )
 }
 
 pub(super) fn lateness(drive: &Drive) -> Figure {
     let values = drive.ticks.iter().map(|tick| tick.lateness * 1e6);
     let lateness = Distribution::of(values);
     let mut panel = Panel::new(
-        Axis {
-            scale: Scale::Log,
-            include: Some(LEAST_LATENESS),
-            ..Axis::new("lateness of a tick", None, "µs")
-        },
+        Axis::new("lateness of a tick", None, "µs")
+            .logarithmic()
+            .including(LEAST_LATENESS),
         Axis::new("part of the ticks", None, "%"),
     );
     panel.bars = logarithmic(&lateness);
@@ -66,14 +63,12 @@ pub(super) fn lateness(drive: &Drive) -> Figure {
     for rule in &mut panel.rules {
         rule.value = rule.value.max(LEAST_LATENESS);
     }
-    Figure {
-        title: "Lateness of the control ticks".to_owned(),
-        caption: "How much later than scheduled the control thread woke up, on a logarithmic \
-                  axis; what is below 1 µs is in the first bar."
-            .to_owned(),
-        width: Width::Column,
-        panels: vec![panel],
-    }
+    Figure::column(
+        "Lateness of the control ticks",
+        "How much later than scheduled the control thread woke up, on a logarithmic \
+         axis; what is below 1 µs is in the first bar.",
+        vec![panel],
+    )
 }
 
 fn rules(distribution: &Distribution, unit: &str, decimals: usize) -> Vec<Rule> {

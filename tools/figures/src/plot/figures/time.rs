@@ -2,7 +2,7 @@
 
 use super::LOST;
 use crate::{
-    figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Scale, Symbol, Width},
+    figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Scale, Symbol},
     plot::{
         drive::{BoardPoint, Drive, TickSample},
         sample::TruthSample,
@@ -57,14 +57,12 @@ pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
         });
         over_time(drive, y, vec![velocity])
     };
-    Figure {
-        title: "Commanded velocity of P".to_owned(),
-        caption: "The velocity that the position loop, or the reference alone, asks of the \
-                  point P along x and y: the input of the linearising law."
-            .to_owned(),
-        width: Width::Page,
-        panels: vec![panel("Px", 0), panel("Py", 1)],
-    }
+    Figure::page(
+        "Commanded velocity of P",
+        "The velocity that the position loop, or the reference alone, asks of the \
+         point P along x and y: the input of the linearising law.",
+        vec![panel("Px", 0), panel("Py", 1)],
+    )
 }
 
 pub(super) fn steering(drive: &Drive) -> Figure {
@@ -73,14 +71,12 @@ pub(super) fn steering(drive: &Drive) -> Figure {
         curve(drive, "commanded", Look::Actual, |tick| tick.steering),
         truth(drive, |sample| sample.steering),
     ];
-    Figure {
-        title: "Steering angle commanded by the law".to_owned(),
-        caption: "The steering angle that the linearising law asks for, after the limits of \
-                  angle and rate; left is positive."
-            .to_owned(),
-        width: Width::Column,
-        panels: vec![over_time(drive, y, curves)],
-    }
+    Figure::column(
+        "Steering angle commanded by the law",
+        "The steering angle that the linearising law asks for, after the limits of \
+         angle and rate; left is positive.",
+        vec![over_time(drive, y, curves)],
+    )
 }
 
 pub(super) fn speed(drive: &Drive) -> Figure {
@@ -94,9 +90,9 @@ pub(super) fn speed(drive: &Drive) -> Figure {
         measured(drive, "motor pulses", |sample| sample.motor_speed),
         truth(drive, |sample| sample.speed),
     ];
-    Figure {
-        title: "Reference and actual speed".to_owned(),
-        caption: format!(
+    Figure::column(
+        "Reference and actual speed",
+        format!(
             "The speed of the centre of mass that the law asks for, after limits, and the car's: \
              as estimated{}.",
             if drive.board.is_empty() {
@@ -105,9 +101,8 @@ pub(super) fn speed(drive: &Drive) -> Figure {
                 ", and of the rear axle as the motor's pulses measure it"
             }
         ),
-        width: Width::Column,
-        panels: vec![over_time(drive, y, curves)],
-    }
+        vec![over_time(drive, y, curves)],
+    )
 }
 
 pub(super) fn position(drive: &Drive) -> Figure {
@@ -123,9 +118,9 @@ pub(super) fn position(drive: &Drive) -> Figure {
         ];
         over_time(drive, y, curves)
     };
-    Figure {
-        title: "Position of P over time".to_owned(),
-        caption: format!(
+    Figure::page(
+        "Position of P over time",
+        format!(
             "{}, and where P was{}.",
             if drive.has_positions() {
                 "Where the reference wants P"
@@ -139,9 +134,8 @@ pub(super) fn position(drive: &Drive) -> Figure {
                  though the car moves"
             }
         ),
-        width: Width::Page,
-        panels: vec![panel("x", 0), panel("y", 1)],
-    }
+        vec![panel("x", 0), panel("y", 1)],
+    )
 }
 
 pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
@@ -161,9 +155,9 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
         over_time(drive, Axis::new("sideslip", beta, "rad"), sideslip),
         over_time(drive, Axis::new("yaw rate", r, "rad/s"), yaw_rate),
     ];
-    Figure {
-        title: "Sideslip angle and yaw rate".to_owned(),
-        caption: format!(
+    Figure::page(
+        "Sideslip angle and yaw rate",
+        format!(
             "The estimated angle from the car's axis to the velocity of its centre of mass, and \
              its yaw rate{}; left is positive.",
             if has_gyro {
@@ -172,9 +166,8 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
                 ""
             }
         ),
-        width: Width::Page,
         panels,
-    }
+    )
 }
 
 pub(super) fn tracking_error(drive: &Drive) -> Figure {
@@ -208,9 +201,9 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
         Curve::new("estimated", Look::Actual, &time, error),
         true_curve(drive, drive.spread_truth(mm(drive.true_errors()))),
     ];
-    Figure {
-        title: "Tracking error of P".to_owned(),
-        caption: format!(
+    Figure::column(
+        "Tracking error of P",
+        format!(
             "Distance from P to where it should be at that moment{}{}.",
             if is_wide {
                 ", on a logarithmic axis"
@@ -223,9 +216,8 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
                 ""
             }
         ),
-        width: Width::Column,
-        panels: vec![over_time(drive, y, curves)],
-    }
+        vec![over_time(drive, y, curves)],
+    )
 }
 
 pub(super) fn trajectory(drive: &Drive) -> Figure {
@@ -260,9 +252,9 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         ("start", MarkKind::Start, seen().next()),
         ("end", MarkKind::End, seen().next_back()),
     ];
-    Figure {
-        title: format!("Trajectory of {what}"),
-        caption: format!(
+    Figure::column(
+        format!("Trajectory of {what}"),
+        format!(
             "Where {what} should be and where it was on the floor, from the triangle to the circle, \
              where the {}.",
             if drive.ended.is_some() {
@@ -271,8 +263,7 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
                 "record ends"
             }
         ),
-        width: Width::Column,
-        panels: vec![Panel {
+        vec![Panel {
             height_mm: 90.0,
             curves,
             marks: ends
@@ -281,7 +272,7 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
                 .collect(),
             ..Panel::floor("P")
         }],
-    }
+    )
 }
 
 /// The path while the markers were lost: the true one if it is known, or what
