@@ -66,7 +66,7 @@ impl Packages {
     }
 
     /// Cargo's options that name the packages.
-    pub(crate) fn options(&self) -> Vec<&'static str> {
+    fn options(&self) -> Vec<&'static str> {
         if *self == Self::Default {
             return Vec::new();
         }
