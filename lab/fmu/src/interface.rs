@@ -213,8 +213,9 @@ unsafe extern "C" fn fmi3InstantiateCoSimulation(
     log: Log,
     _update: *const c_void,
 ) -> *mut Handle {
-    // SAFETY: the importer passes a text.
-    let token = unsafe { CStr::from_ptr(token) }.to_string_lossy();
+    // SAFETY: the importer passes a text; null is none.
+    let token = (!token.is_null()).then(|| unsafe { CStr::from_ptr(token) });
+    let token = token.unwrap_or_default().to_string_lossy();
     let Some(unit) = Unit::ALL.into_iter().find(|unit| unit.token() == token) else {
         let known = Unit::ALL.map(Unit::token).join(" or ");
         let text = format!("the token is {token:?}: this library is {known}");
