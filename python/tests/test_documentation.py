@@ -28,4 +28,4 @@ def test_the_page_runs_from_start_to_end(tmp_path: Path, monkeypatch: pytest.Mon
 def test_the_page_names_every_example_and_lab() -> None:
     page = PAGE.read_text()
     for path in [*PAGE.parents[1].glob("python/examples/*.py"), *PAGE.parents[1].glob("python/notebooks/*")]:
-        assert path.name in page, path
+        assert f"`{path.name}`" in page, path
