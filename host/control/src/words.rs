@@ -23,9 +23,8 @@
 /// From it follow `ALL`, `name`, `named`, `documentation`, and
 /// [`Display`](core::fmt::Display). The numbers may be left out.
 ///
-/// `enum Stop: serde` reads and writes the words with serde, which the crate must depend on;
-/// The values may have other
-/// attributes than their documentation, which is no data then.
+/// `enum Stop: serde` reads and writes the words with serde, which the crate must depend on. Its values
+/// may have other attributes than their documentation, which is no data then.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! words {

@@ -290,7 +290,7 @@ fn whatever_a_message_holds_a_set_point_is_finite_and_neither_old_nor_of_the_fut
             y: number(),
             z: number(),
         };
-        // Of 1970, near now, years ahead.
+        // Stamps of 1970, near now, and years ahead.
         let wall = match round % 4 {
             0 => (number() * 1e9) as i128,
             1 => NOW.wall.saturating_add((number() * 1e18) as i128),

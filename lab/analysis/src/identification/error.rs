@@ -7,13 +7,13 @@ use super::parameter::Parameter;
 /// The reason for which an identification fails.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IdentificationError {
-    /// A list of these samples has fewer than two: this number.
+    /// Samples of this kind are fewer than two: this number.
     #[error("there are {1} {0} in the drive: record one with motion capture and board")]
     TooFew(&'static str, usize),
-    /// Of these samples the one with this index, from 0, is not finite.
+    /// A sample of this kind and with this index, from 0, is not finite.
     #[error("number {1} of the {0} is not finite: the record is damaged there")]
     NotFinite(&'static str, usize),
-    /// Of these samples the one with this index, from 0, and time, in s, is older than its predecessor.
+    /// A sample of this kind, index, from 0, and time, in s, is older than its predecessor.
     #[error("number {1} of the {0}, at {2} s, is older than the one before it")]
     OutOfOrder(&'static str, usize, f64),
     /// The car was too slow.
@@ -68,7 +68,7 @@ pub enum IdentificationError {
         /// The bound.
         value: f64,
     },
-    /// The fit did not converge, with a last change of so many standard deviations.
+    /// The fit did not converge: its last step, in standard deviations.
     #[error(
         "the fit has not settled: its last round moved a parameter by {0:.2} standard deviations; start \
          closer to the car (--vehicle), estimate fewer parameters, or weave for longer and to both sides"

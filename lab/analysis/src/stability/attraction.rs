@@ -96,7 +96,7 @@ impl ClosedLoop {
         let a = Matrix4::from_fn(|i, j| slopes[i][j].middle());
         let fast = a.fixed_view::<2, 2>(1, 1).try_inverse()?;
         let settled = -fast * a.fixed_view::<2, 1>(1, 3);
-        // By columns.
+        // Each array is a column.
         let rows = Matrix4::from([
             [1.0, 1.0, 0.0, 0.0],
             [0.0, 0.0, 1.0, 0.0],
