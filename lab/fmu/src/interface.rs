@@ -267,4 +267,27 @@ mod tests {
         assert_eq!(made(|_| panic!("as a test")), Status::Fatal);
         assert_eq!(made(|_| Ok(())), Status::Fatal);
     }
+
+    #[test]
+    fn a_null_in_place_of_the_token_gives_no_instance() {
+        let null = ptr::null();
+        // SAFETY: no argument is read but the token.
+        let handle = unsafe {
+            fmi3InstantiateCoSimulation(
+                null,
+                null,
+                null,
+                false,
+                false,
+                false,
+                false,
+                ptr::null(),
+                0,
+                ptr::null_mut(),
+                None,
+                ptr::null(),
+            )
+        };
+        assert!(handle.is_null());
+    }
 }
