@@ -25,27 +25,21 @@ Installs missing Debian packages.
 /// Cargo's options for the programs of the car.
 const INSTALLED: &str = "--package singletrackd --package singletrack";
 
-/// Cargo's options for what is checked of them: the daemon, the procedures, and the tool as `cargo demo`
-/// builds it. `cargo release` builds all of them.
+/// Cargo's options for what is checked of them: the daemon, the procedures, the tool as `cargo demo`
+/// builds it, and a trajectory. `cargo release` builds all of them.
 const CHECKED: &str = "--package singletrackd --package singletrack-commissioning \
-                       --package singletrack --no-default-features";
+                       --package singletrack --package singletrack-scenario --no-default-features \
+                       --features singletrack-scenario/files";
 
 /// Cargo's options for a program that simulates a scenario, and nothing else.
 const TRAJECTORY: &str = "--package singletrack-scenario --bin trajectory --no-default-features \
                           --features singletrack-scenario/files";
 
-/// Cargo's options of a check: the profile is that of the browser's module, which has the same helpers of
-/// the compiler; nothing is optimised but what computes.
-const QUICK: &str = " --config profile.web.panic=\"unwind\" --config profile.web.package.\"*\".opt-level=0 \
-    --config profile.web.package.singletrack-api.opt-level=0 \
-    --config profile.web.package.singletrack-core.opt-level=0 \
-    --config profile.web.package.singletrack-record.opt-level=0 \
-    --config profile.web.package.singletrack-scenario.opt-level=0";
-
-/// The packages that compute.
+/// The packages that compute, and those with an optimisation of their own that hardly do.
 const COMPUTING: [&str; 7] = [
     "board", "control", "link", "mocap", "pilot", "protocol", "sim",
 ];
+const OTHERS: [&str; 5] = ["analysis", "api", "core", "record", "scenario"];
 
 /// One scenario per plant.
 pub(crate) const SCENARIOS: [&str; 3] = [
@@ -58,7 +52,7 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     match arguments {
         [] => {
             prerequisites::ensure(&["armhf"])?;
-            let folder = build("release", INSTALLED)?;
+            let folder = build(ARMHF.cargo("build", "release")?, INSTALLED)?;
             for program in ["singletrackd", "singletrack"] {
                 println!("{}", folder.join(program).display());
             }
@@ -72,14 +66,31 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     }
 }
 
-/// Checks that the Odroid's programs compile, and that what computes, optimised, computes the same bits
-/// there as here. The programs themselves are built and run by `cargo deb`.
+/// Builds the Odroid's programs, and checks that what computes, optimised, computes the same bits there
+/// as here. The programs that are installed are built and run by `cargo deb`.
 pub(crate) fn verify(packages: &Packages) -> Result {
-    let (mut check_programs, _) = ARMHF.cargo("check", "web")?;
-    check_programs.args(format!("{CHECKED}{QUICK}").split_whitespace());
+    // The profile is that of the browser's module, which has the same helpers of the compiler.
+    let (mut cargo, folder) = ARMHF.cargo("build", "web")?;
+    quickly(&mut cargo, "web").args(["--config", "profile.web.panic=\"unwind\""]);
     // This combination of features is linted only here.
-    check(check_programs.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]))?;
-    compare_emulated(packages, "web", QUICK)
+    cargo.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]);
+    compare_emulated(packages, (cargo, folder), CHECKED)
+}
+
+/// Lets cargo optimise what computes, as in a release, and nothing else.
+pub(crate) fn quickly<'a>(cargo: &'a mut Command, profile: &str) -> &'a mut Command {
+    let mut set = |what: &str, level| {
+        let setting = format!("profile.{profile}.{what}opt-level={level}");
+        cargo.args(["--config", &setting]);
+    };
+    set("", 0);
+    set("package.\"*\".", 0);
+    for (names, level) in [(&COMPUTING[..], 3), (&OTHERS, 0)] {
+        for name in names {
+            set(&format!("package.singletrack-{name}."), level);
+        }
+    }
+    cargo
 }
 
 /// Checks that a release as it is installed simulates the same bits here and there as the tests here:
@@ -88,12 +99,12 @@ pub(crate) fn compare_installed(packages: &Packages) -> Result {
     let (mut build, folder) = release_build()?;
     check(build.args(TRAJECTORY.split_whitespace()))?;
     compare_native(packages, &folder.join("trajectory"))?;
-    compare_emulated(packages, "release", "")
+    compare_emulated(packages, ARMHF.cargo("build", "release")?, TRAJECTORY)
 }
 
-/// Compares the bits of a profile, built with further options.
-fn compare_emulated(packages: &Packages, profile: &str, options: &str) -> Result {
-    let emulated = build(profile, &format!("{TRAJECTORY}{options}"))?.join("trajectory");
+/// Compares the bits of a build for the Odroid with such options, whose folder is given.
+fn compare_emulated(packages: &Packages, cargo: (Command, PathBuf), options: &str) -> Result {
+    let emulated = build(cargo, options)?.join("trajectory");
     let run = || {
         let mut run = command(&ARMHF.emulator());
         run.arg(&emulated);
@@ -107,12 +118,10 @@ fn compare_emulated(packages: &Packages, profile: &str, options: &str) -> Result
 /// else is of the tested build; `cargo release` compares the whole program.
 pub(crate) fn compare_optimised(packages: &Packages) -> Result {
     let mut build = cargo("build --quiet");
-    build.args(TRAJECTORY.split_whitespace());
+    quickly(&mut build, "dev").args(TRAJECTORY.split_whitespace());
     for package in COMPUTING {
-        for setting in ["opt-level=3", "debug-assertions=false"] {
-            let setting = format!("profile.dev.package.singletrack-{package}.{setting}");
-            build.args(["--config", &setting]);
-        }
+        let setting = format!("profile.dev.package.singletrack-{package}.debug-assertions=false");
+        build.args(["--config", &setting]);
     }
     check(&mut build)?;
     let target = target::folder()?;
@@ -128,9 +137,8 @@ fn compare_native(packages: &Packages, optimised: &Path) -> Result {
     compare(packages, &SCENARIOS, builds, &|| Command::new(optimised))
 }
 
-/// Builds programs, and returns their folder.
-fn build(profile: &str, options: &str) -> Result<PathBuf> {
-    let (mut cargo, folder) = ARMHF.cargo("build", profile)?;
+/// Builds programs, and returns their folder, which is given.
+fn build((mut cargo, folder): (Command, PathBuf), options: &str) -> Result<PathBuf> {
     check(cargo.args(options.split_whitespace()).stdout(Stdio::null()))?;
     Ok(folder)
 }

@@ -207,16 +207,12 @@ fn needs_image(arguments: &[String]) -> bool {
 pub(crate) const PUBLISHED: [&str; 2] = ["singletrack-control", "singletrack-mocap"];
 
 /// Checks that the packages without I/O build without the others, beside those of [`PUBLISHED`], which
-/// are built alone; and that one builds without features. In the workspace's build, a package has the
-/// features that all others ask for, which hides missing ones. What `cargo demo` builds is checked for
-/// the Odroid.
+/// are built alone. In the workspace's build, a package has the features that all others ask for, which
+/// hides missing ones. What `cargo demo` builds is built for the Odroid.
 pub(crate) fn check_alone() -> Result {
     check(&mut cargo(
         "check --quiet --package singletrack-protocol --package singletrack-board \
-         --package singletrack-pilot --package singletrack-link --package singletrack-analysis",
-    ))?;
-    check(&mut cargo(
-        "check --quiet --no-default-features --package singletrack-logs",
+         --package singletrack-pilot --package singletrack-link",
     ))
 }
 

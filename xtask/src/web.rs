@@ -63,7 +63,7 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     match arguments {
         [] => {
             prerequisites::ensure(&["wasm"])?;
-            println!("{}", build()?.display());
+            println!("{}", build_small()?.display());
             Ok(())
         }
         [help] if help == "--help" || help == "-h" => {
@@ -74,8 +74,15 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     }
 }
 
-/// Makes the folder of static files, and returns it.
-pub(crate) fn build() -> Result<PathBuf> {
+/// Makes the folder of static files as they are published, within the bound of their size; returns it.
+pub(crate) fn build_small() -> Result<PathBuf> {
+    let site = build(|cargo| cargo)?;
+    check_size(&site)?;
+    Ok(site)
+}
+
+/// Makes the folder of static files with further options of cargo, and returns it.
+fn build(options: fn(&mut Command) -> &mut Command) -> Result<PathBuf> {
     let tools = prerequisites::find("wasm_tools")?;
     let [linker, clang, archiver] = tools.lines().collect::<Vec<_>>()[..] else {
         return Err(failure!("wasm_tools found {tools:?}"));
@@ -83,13 +90,12 @@ pub(crate) fn build() -> Result<PathBuf> {
     let target = target::folder()?;
     let folder = target.join(CROSS);
     let mut cargo = Compiler::find(WASM)?.cargo(root());
-    cargo
+    options(cargo.arg("rustc"))
         .env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER", linker)
         // zstd is C.
         .env("CC_wasm32_unknown_unknown", clang)
         .env("AR_wasm32_unknown_unknown", archiver)
         .args([
-            "rustc",
             "--locked",
             "--package",
             "singletrack-web",
@@ -131,11 +137,10 @@ pub(crate) fn copy(from: &Path, to: &Path) -> Result {
     Ok(())
 }
 
-/// Checks that the laboratory has the bits of the tested build, in Node and in Chromium, and its
-/// bounds of size and speed.
+/// Checks that the laboratory has the bits of the tested build, in Node and in Chromium, and the bound
+/// of its speed.
 pub(crate) fn verify(packages: &Packages) -> Result {
-    let site = build()?;
-    check_size(&site)?;
+    let site = build(|cargo| odroid::quickly(cargo, "web"))?;
     let node = |check: &str| {
         let mut node = command("node");
         node.current_dir(root())

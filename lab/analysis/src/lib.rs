@@ -11,4 +11,6 @@
 
 mod dual;
 pub mod identification;
+#[cfg(feature = "quadratic")]
+pub mod quadratic;
 pub mod stability;

@@ -9,12 +9,9 @@
 
 use std::collections::VecDeque;
 
-use clarabel::{
-    algebra::CscMatrix,
-    solver::{DefaultSettings, DefaultSolver, IPSolver as _, NonnegativeConeT, SolverStatus},
-};
 use libm::{ceil, cos, exp, sin, sincos, tanh};
 use nalgebra::{SMatrix, SVector};
+use singletrack_analysis::quadratic::{self, CscMatrix};
 use singletrack_control::{ActuatorModel, Estimate, GRAVITY, Limits, VehicleParameters};
 
 use super::{course::Table, foreign::Known};
@@ -407,32 +404,11 @@ impl<'a> Predictive<'a> {
         hessian: &SMatrix<f64, VARIABLES, VARIABLES>,
         gradient: &SVector<f64, VARIABLES>,
     ) -> Option<[f64; VARIABLES]> {
+        // The weights make the scale of the cost: that of an error of 1 cm.
         let cost = CscMatrix::from(&hessian.upper_triangle().transpose().data.0);
-        if !gradient.iter().all(|slope| slope.is_finite()) {
-            return None;
-        }
-        // 1e-6 of the cost of an error of 1 cm; the weights make its scale.
-        let settings = DefaultSettings {
-            verbose: false,
-            equilibrate_enable: false,
-            tol_gap_abs: 1e-6,
-            tol_gap_rel: 1e-6,
-            tol_feas: 1e-6,
-            ..DefaultSettings::default()
-        };
-        let bounds = self.bounds();
-        let cones = [NonnegativeConeT(bounds.len())];
-        let gradient = gradient.as_slice();
-        let mut solver =
-            DefaultSolver::new(&cost, gradient, &self.bounded, &bounds, &cones, settings).ok()?;
-        solver.solve();
-        let solution = &solver.solution;
-        let solved = matches!(
-            solution.status,
-            SolverStatus::Solved | SolverStatus::AlmostSolved
-        );
-        let change: [f64; VARIABLES] = solution.x.as_slice().try_into().ok()?;
-        (solved && change.iter().all(|change| change.is_finite())).then_some(change)
+        let (gradient, bounds) = (gradient.as_slice(), self.bounds());
+        let change = quadratic::minimum(&cost, gradient, &self.bounded, &bounds)?;
+        change.try_into().ok()
     }
 }
 

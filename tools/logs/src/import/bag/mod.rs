@@ -7,7 +7,6 @@ mod mcap;
 mod messages;
 mod path;
 mod row;
-#[cfg(feature = "sqlite")]
 mod sqlite;
 mod wanted;
 
@@ -34,13 +33,7 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
     for (file, storage) in files::files(path)? {
         match storage {
             Storage::Mcap => mcap::read(&file, &mut messages)?,
-            #[cfg(feature = "sqlite")]
             Storage::Sqlite => sqlite::read(&file, &mut messages)?,
-            #[cfg(not(feature = "sqlite"))]
-            Storage::Sqlite => {
-                let why = "this program was built without sqlite: convert it with `ros2 bag convert` to MCAP";
-                return Err(unreadable(&file, why));
-            }
         }
     }
     let sorted = messages.sort(nanoseconds(map.time.longest_gap_s))?;
