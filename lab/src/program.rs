@@ -67,8 +67,8 @@ pub fn main_with(kinds: impl Into<Vec<OwnLoopKind>>) -> ExitCode {
     if let Some(index) = arguments.iter().take(2).position(is_daemon) {
         return singletrackd::program::main(arguments.into_iter().skip(index));
     }
-    let is_named = |(name, _): &(&str, &str)| arguments.get(1).is_some_and(|one| one == name);
-    if lab::COMMANDS.iter().any(is_named) {
+    let is_named = |(name, _): (&str, &str)| arguments.get(1).is_some_and(|one| one == name);
+    if lab::commands().any(is_named) {
         return main();
     }
     singletrack::program::main()

@@ -26,7 +26,7 @@ fn singletrack_lists_and_passes_on_the_commands_of_this_program() {
     let known = words(commands);
     let known = known.split_once(" help Print").unwrap().0;
     let mut listed = String::new();
-    for (name, about) in singletrack::lab::COMMANDS {
+    for (name, about) in singletrack::lab::commands() {
         listed += &format!("{name} {about} ");
     }
     assert_eq!(known, listed.trim_end());

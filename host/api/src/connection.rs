@@ -1,7 +1,7 @@
 //! Lines to the daemon, and its answers.
 
 use std::{
-    io::{self, BufRead as _, BufReader, Read as _, Write as _},
+    io::{self, Read as _, Write as _},
     net::Shutdown,
     os::{
         fd::{AsFd, BorrowedFd, OwnedFd},
@@ -64,34 +64,24 @@ pub fn ask_within(
     path: &Path,
     patience: Duration,
 ) -> Result<Answer, ClientError> {
-    let line = ask_for_line(request, path, patience)?;
-    serde_json::from_str::<Answer>(&line)?.agreed()
+    ask_as::<Answer>(request, path, patience)?.agreed()
 }
 
-/// The daemon's answer as it wrote it, which may have keys that this client does not know; also if
-/// it refuses.
+/// The daemon's answer to one request as another type, such as one with the keys that this client
+/// does not know; also if it is a refusal.
 ///
 /// # Errors
 ///
 /// The daemon can't be asked.
-pub fn ask_for_line(
+pub fn ask_as<T: DeserializeOwned>(
     request: &Request,
     path: &Path,
     patience: Duration,
-) -> Result<String, ClientError> {
-    let mut stream = connect(path)?;
-    stream.set_read_timeout(Some(patience))?;
-    stream.set_write_timeout(Some(patience.min(CONNECT_TIMEOUT)))?;
-    stream.write_all(request.to_line()?.as_bytes())?;
-    let mut answer = String::new();
-    match BufReader::new(stream).read_line(&mut answer) {
-        Ok(0) => Err(ClientError::Ended),
-        Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-            Err(ClientError::silent(path, patience))
-        }
-        Err(error) => Err(error.into()),
-        Ok(_) => Ok(answer),
-    }
+) -> Result<T, ClientError> {
+    let mut connection = Connection::open(path, patience.min(CONNECT_TIMEOUT))?;
+    connection.send(request)?;
+    let answer = connection.receive_within(patience)?;
+    answer.ok_or_else(|| ClientError::silent(path, patience))
 }
 
 /// A connection for lines in both directions.
@@ -154,6 +144,16 @@ impl Connection {
         let _ = self.stream.shutdown(Shutdown::Both);
     }
 
+    /// Says that no more requests come. The daemon then sends its last answers, and closes the
+    /// connection.
+    ///
+    /// # Errors
+    ///
+    /// The connection is lost.
+    pub fn end_requests(&self) -> Result<(), ClientError> {
+        Ok(self.stream.shutdown(Shutdown::Write)?)
+    }
+
     /// Sends a request.
     ///
     /// # Errors
@@ -201,17 +201,11 @@ impl Connection {
             match self.stream.read(&mut buffer) {
                 Ok(0) => return Err(ClientError::Ended),
                 Ok(count) => self.received.extend(buffer.iter().take(count)),
-                Err(error)
-                    if matches!(
-                        error.kind(),
-                        io::ErrorKind::WouldBlock
-                            | io::ErrorKind::TimedOut
-                            | io::ErrorKind::Interrupted
-                    ) =>
-                {
-                    return Ok(None);
-                }
-                Err(error) => return Err(error.into()),
+                Err(error) => match error.kind() {
+                    io::ErrorKind::Interrupted => {}
+                    io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => return Ok(None),
+                    _ => return Err(error.into()),
+                },
             }
         }
     }

@@ -68,6 +68,15 @@ impl ClientError {
             patience,
         }
     }
+
+    /// The error of a read that may take `patience`.
+    #[cfg(unix)]
+    pub(crate) fn of_read(error: io::Error, path: &Path, patience: Duration) -> Self {
+        match error.kind() {
+            io::ErrorKind::WouldBlock => Self::silent(path, patience),
+            _ => error.into(),
+        }
+    }
 }
 
 impl From<io::Error> for ClientError {

@@ -13,7 +13,8 @@ pub const RENEWAL: Duration = Duration::from_millis(100);
 /// A connection that holds a drive, for as long as its owner calls it. Dropped, it ends the drive.
 #[derive(Debug)]
 pub struct HeldDrive {
-    connection: Connection,
+    /// Its connection, for other requests and what the daemon says of the drive.
+    pub connection: Connection,
     interval: Duration,
     renewed: Instant,
 }
@@ -36,7 +37,7 @@ impl HeldDrive {
     /// The daemon refuses, or the connection is lost.
     pub fn arm(socket: &Path, patience: Duration, wait: Duration) -> Result<Self, ClientError> {
         let mut drive = Self::new(Connection::open(socket, patience)?, RENEWAL);
-        drive.send(&Request::Arm(Arm {
+        drive.connection.send(&Request::Arm(Arm {
             attendance: Some(Attendance::Hold),
             ..Arm::default()
         }))?;
@@ -64,7 +65,7 @@ impl HeldDrive {
     /// The connection is lost.
     pub fn renew(&mut self) -> Result<(), ClientError> {
         match self.is_due() {
-            true => self.send(&Request::Hold {}),
+            true => self.connection.send(&Request::Hold {}),
             false => Ok(()),
         }
     }
@@ -78,32 +79,5 @@ impl HeldDrive {
     pub fn next(&mut self, wait: Duration) -> Result<Option<Reply>, ClientError> {
         self.renew()?;
         self.connection.receive_within(wait)
-    }
-
-    /// The daemon's next line, if it has arrived.
-    ///
-    /// # Errors
-    ///
-    /// The connection is lost.
-    pub fn received(&mut self) -> Result<Option<Reply>, ClientError> {
-        self.connection.receive()
-    }
-
-    /// Waits for the daemon's next line, without a renewal.
-    ///
-    /// # Errors
-    ///
-    /// The connection is lost.
-    pub fn received_within(&mut self, wait: Duration) -> Result<Option<Reply>, ClientError> {
-        self.connection.receive_within(wait)
-    }
-
-    /// Sends another request on the connection.
-    ///
-    /// # Errors
-    ///
-    /// The connection is lost.
-    pub fn send(&mut self, request: &Request) -> Result<(), ClientError> {
-        self.connection.send(request)
     }
 }

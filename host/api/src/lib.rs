@@ -28,7 +28,7 @@ mod words;
 #[cfg(unix)]
 pub use clock::ClockOffset;
 #[cfg(unix)]
-pub use connection::{Connection, ask, ask_for_line, ask_within, connect};
+pub use connection::{Connection, ask, ask_as, ask_within, connect};
 pub use error::ClientError;
 pub use explain::explain;
 #[cfg(unix)]

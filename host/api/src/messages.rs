@@ -3,7 +3,7 @@
 use std::{
     io::{self, BufRead as _, BufReader, Read as _, Write as _},
     os::unix::net::UnixStream,
-    path::Path,
+    path::{Path, PathBuf},
     time::Duration,
 };
 
@@ -42,6 +42,8 @@ struct Head {
 /// A subscription to the messages of some topics.
 #[derive(Debug)]
 pub struct MessageStream {
+    path: PathBuf,
+    wait: Duration,
     read: BufReader<UnixStream>,
     /// The daemon's clocks when its record began.
     pub clocks: Clocks,
@@ -55,7 +57,7 @@ impl MessageStream {
     ///
     /// # Errors
     ///
-    /// The daemon can't be reached, or does not know a topic.
+    /// The daemon can't be reached, does not answer, or does not know a topic.
     pub fn open(path: &Path, topics: &[&str], wait: Duration) -> Result<Self, ClientError> {
         let mut stream = connect(path)?;
         stream.set_read_timeout(Some(wait))?;
@@ -65,18 +67,30 @@ impl MessageStream {
         stream.write_all(request.to_line()?.as_bytes())?;
         let mut read = BufReader::with_capacity(1 << 16, stream);
         let mut answer = String::new();
-        if read.read_line(&mut answer)? == 0 {
+        let in_time = |error| ClientError::of_read(error, path, wait);
+        if read.read_line(&mut answer).map_err(in_time)? == 0 {
             return Err(ClientError::Ended);
         }
         let begun = serde_json::from_str::<Answer>(&answer)?.agreed()?;
         let clocks = begun.clocks.ok_or(ClientError::NoAnswer(answer))?;
         Ok(Self {
+            path: path.to_owned(),
+            wait,
             read,
             clocks,
             line: Vec::new(),
             topic: String::new(),
             bytes: Vec::new(),
         })
+    }
+
+    /// From now on, messages may be any time apart.
+    ///
+    /// # Errors
+    ///
+    /// The system refuses it.
+    pub fn wait_for_ever(&self) -> Result<(), ClientError> {
+        Ok(self.read.get_ref().set_read_timeout(None)?)
     }
 
     /// Waits for what comes next.
@@ -87,7 +101,9 @@ impl MessageStream {
     /// message.
     pub fn receive(&mut self) -> Result<Received<'_>, ClientError> {
         self.line.clear();
-        if self.read.read_until(b'\n', &mut self.line)? == 0 {
+        let in_time = |error| ClientError::of_read(error, &self.path, self.wait);
+        let read = self.read.read_until(b'\n', &mut self.line);
+        if read.map_err(in_time)? == 0 {
             return Err(ClientError::Ended);
         }
         let head: Head = serde_json::from_slice(&self.line)?;
@@ -101,7 +117,7 @@ impl MessageStream {
         };
         self.topic = topic;
         self.bytes.resize(length, 0);
-        self.read.read_exact(&mut self.bytes)?;
+        self.read.read_exact(&mut self.bytes).map_err(in_time)?;
         Ok(Received::Message(Message {
             topic: &self.topic,
             bytes: &self.bytes,

@@ -100,20 +100,6 @@ words! {
     }
 }
 
-impl Code {
-    /// Those of a set-point that has no effect.
-    pub const OF_SETPOINTS: [Self; 8] = [
-        Self::Invalid,
-        Self::NotFinite,
-        Self::OutOfRange,
-        Self::Future,
-        Self::Old,
-        Self::Sequence,
-        Self::OtherSource,
-        Self::NotExternal,
-    ];
-}
-
 /// A refused request.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{text}")]

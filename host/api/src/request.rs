@@ -327,12 +327,12 @@ fn without_nulls(line: &[u8]) -> Option<Line<Request>> {
 fn with_example(command: Option<&str>, what: &str) -> RequestError {
     let example = command.and_then(|command| {
         let name = format!("\"command\":\"{command}\"");
-        let example = EXAMPLES.iter().find(|(line, _)| line.contains(&name));
-        Some((command, example?.0))
+        let example = EXAMPLES.into_iter().find(|line| line.contains(&name));
+        Some((command, example?))
     });
     RequestError(match example {
         Some((command, example)) => format!("{command}: {what}; write {example}"),
-        None => format!("{what}; write {}", EXAMPLES[0].0),
+        None => format!("{what}; write {}", EXAMPLES[0]),
     })
 }
 
@@ -344,84 +344,27 @@ fn other_version(version: impl Into<u64>) -> RequestError {
     ))
 }
 
-/// A line of every command, and what the daemon answers: the table of the documentation.
-pub const EXAMPLES: [(&str, &str); 19] = [
-    (
-        r#"{"version":3,"command":"status"}"#,
-        r#"`{"version":3,"ok":true,"status":{...}}`"#,
-    ),
-    (
-        r#"{"version":3,"command":"clock"}"#,
-        r#"at once; `"clocks":{"monotonic_ns":...,"wall_ns":...}`, both of this moment"#,
-    ),
-    (
-        r#"{"version":3,"command":"arm","attendance":"hold"}"#,
-        r#"once the car drives: [`arm`](#arm)"#,
-    ),
-    (
-        r#"{"version":3,"command":"hold"}"#,
-        r#"nothing, unless it fails; renews the drive that the connection holds"#,
-    ),
-    (
-        r#"{"version":3,"command":"arm","attendance":"hold","jog":true}"#,
-        r#"once the board takes pulses: [`jog`](#jog)"#,
-    ),
-    (
-        r#"{"version":3,"command":"jog","servo_us":1500,"esc_us":1500}"#,
-        r#"nothing, unless it fails"#,
-    ),
-    (
-        r#"{"version":3,"command":"reload"}"#,
-        r#"reads the configuration file again, as SIGHUP does: `{"version":3,"ok":true,"configuration":2}` once it is in force"#,
-    ),
-    (
-        r#"{"version":3,"command":"configuration"}"#,
-        r#"`{"version":3,"ok":true,"configuration":2,"toml":"..."}`: number and text of the configuration in force, with every key and the points of the reference"#,
-    ),
-    (
-        r#"{"version":3,"command":"disarm"}"#,
-        r#"at once; the car slows down and stops"#,
-    ),
-    (
-        r#"{"version":3,"command":"disarm","at_once":true}"#,
-        r#"at once; neutral without a ramp, and a brake pulse where the ESC can, with `operator-gone`: for a dead-man switch that is lost"#,
-    ),
-    (
-        r#"{"version":3,"command":"disarm","carried":true}"#,
-        r#"as `disarm`; also states that the rigid body in view is the car, although its wheels can't have brought it there. Send it only when a person says so"#,
-    ),
-    (
-        r#"{"version":3,"command":"stop"}"#,
-        r#"at once; neutral until the board is reset"#,
-    ),
-    (
-        r#"{"version":3,"command":"set-reference","reference":{"kind":"circle","radius_m":1.0,"angular_velocity_rad_s":0.5}}"#,
-        r#"as `reload`, with `"warnings":[...]` if there are any: [`set-reference`](#set-reference)"#,
-    ),
-    (
-        r#"{"version":3,"command":"setpoint","velocity_m_s":[0.4,0.0]}"#,
-        r#"nothing, unless rejected: [`setpoint`](#setpoint)"#,
-    ),
-    (
-        r#"{"version":3,"command":"tune","gain_per_s":2.0,"point_distance_m":0.4}"#,
-        r#"once the values are taken: [`tune`](#tune)"#,
-    ),
-    (
-        r#"{"version":3,"command":"commissioned","procedure":"doctor","result":"passed"}"#,
-        r#"once it is stored: [`commissioned`](#commissioned)"#,
-    ),
-    (
-        r#"{"version":3,"command":"watch","topics":["tick"]}"#,
-        r#"`{"version":3,"ok":true}`, then every new entry of the record, with its `topic`"#,
-    ),
-    (
-        r#"{"version":3,"command":"messages","topics":["/odom"]}"#,
-        r#"[`messages`](#messages) of the record, as ROS 2 encodes them"#,
-    ),
-    (
-        r#"{"version":3,"command":"watch","topics":["state"]}"#,
-        r#"`{"version":3,"ok":true}`, then the [state](#state) of every tick"#,
-    ),
+/// A line of every command, as in the table of the documentation, which has the answers, too.
+pub const EXAMPLES: [&str; 19] = [
+    r#"{"version":3,"command":"status"}"#,
+    r#"{"version":3,"command":"clock"}"#,
+    r#"{"version":3,"command":"arm","attendance":"hold"}"#,
+    r#"{"version":3,"command":"hold"}"#,
+    r#"{"version":3,"command":"arm","attendance":"hold","jog":true}"#,
+    r#"{"version":3,"command":"jog","servo_us":1500,"esc_us":1500}"#,
+    r#"{"version":3,"command":"reload"}"#,
+    r#"{"version":3,"command":"configuration"}"#,
+    r#"{"version":3,"command":"disarm"}"#,
+    r#"{"version":3,"command":"disarm","at_once":true}"#,
+    r#"{"version":3,"command":"disarm","carried":true}"#,
+    r#"{"version":3,"command":"stop"}"#,
+    r#"{"version":3,"command":"set-reference","reference":{"kind":"circle","radius_m":1.0,"angular_velocity_rad_s":0.5}}"#,
+    r#"{"version":3,"command":"setpoint","velocity_m_s":[0.4,0.0]}"#,
+    r#"{"version":3,"command":"tune","gain_per_s":2.0,"point_distance_m":0.4}"#,
+    r#"{"version":3,"command":"commissioned","procedure":"doctor","result":"passed"}"#,
+    r#"{"version":3,"command":"watch","topics":["tick"]}"#,
+    r#"{"version":3,"command":"messages","topics":["/odom"]}"#,
+    r#"{"version":3,"command":"watch","topics":["state"]}"#,
 ];
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for it")]
@@ -436,7 +379,7 @@ mod tests {
 
     #[test]
     fn every_example_is_a_request_and_is_written_as_one() {
-        for (line, _) in EXAMPLES {
+        for line in EXAMPLES {
             let request = Request::parse(line.as_bytes()).unwrap();
             let written = request.to_line().unwrap();
             let values = [line, &written].map(|line| serde_json::from_str::<Value>(line).unwrap());
@@ -516,20 +459,13 @@ mod tests {
     /// With `SINGLETRACK_RENEW` set, the table is written.
     #[test]
     fn the_documentation_has_the_table_of_the_examples() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/control-socket.md");
-        let page = std::fs::read_to_string(path).unwrap();
+        let page = include_str!("../../../docs/control-socket.md");
         let head = "| to the daemon | from the daemon |\n|---|---|\n";
-        let (before, rest) = page.split_once(head).unwrap();
-        let (_, after) = rest.split_once("\n\n").unwrap();
-        let rows = EXAMPLES.map(|(line, answer)| format!("| `{line}` | {answer} |\n"));
-        let made = [before, head, &rows.concat(), "\n", after].concat();
-        if std::env::var_os("SINGLETRACK_RENEW").is_some() {
-            std::fs::write(path, &made).unwrap();
-        }
-        assert!(
-            page == made,
-            "set SINGLETRACK_RENEW=1 and run this test again"
-        );
+        let (_, rest) = page.split_once(head).unwrap();
+        let (table, _) = rest.split_once("\n\n").unwrap();
+        let line = |row: &'static str| row.strip_prefix("| `")?.split_once("` | ");
+        let lines: Vec<_> = table.lines().map(|row| line(row).unwrap().0).collect();
+        assert_eq!(lines, EXAMPLES);
     }
 
     #[test]

@@ -42,13 +42,8 @@ pub struct Arguments {
     #[arg(long)]
     pub check: bool,
     /// With --check: judge the geofence from where the car stands, in m and degrees
-    #[arg(
-        long,
-        value_name = "X,Y,YAW",
-        requires = "check",
-        allow_hyphen_values = true,
-        value_parser = parse_stand
-    )]
+    #[arg(long, value_name = "X,Y,YAW", requires = "check")]
+    #[arg(allow_hyphen_values = true, value_parser = parse_stand)]
     pub start: Option<Stand>,
     /// The format of the log on stderr. `RUST_LOG` filters it; `NO_COLOR` turns colours off
     #[arg(long, value_enum, value_name = "FORMAT", default_value = "text")]

@@ -59,37 +59,34 @@ pub(crate) fn log(config: &Config) -> bool {
 
 /// The folders that the daemon writes to, if this user can't.
 fn directories(config: &Config) -> Vec<Finding> {
-    let socket = config.socket.path.parent().map(Path::to_owned);
-    [
+    let (record, socket) = (&config.record, &config.socket);
+    let (records, state) = (record.directory.as_path(), config.state.directory.as_path());
+    let folders = [
         (
             "record.directory",
-            config.record.enabled,
-            Some(config.record.directory.clone()),
+            Some(records).filter(|_| record.enabled),
             "choose a folder that the daemon may write to, or set record.enabled = false",
         ),
         (
             "state.directory",
-            true,
-            Some(config.state.directory.clone()),
+            Some(state),
             "choose a folder that the daemon may write to; otherwise every drive after a restart \
              begins slowly",
         ),
         (
             "socket.path",
-            config.socket.enabled,
-            socket,
+            socket.path.parent().filter(|_| socket.enabled),
             "choose a path in a folder that the daemon may write to, such as one in \
              $XDG_RUNTIME_DIR, or set socket.enabled = false",
         ),
-    ]
-    .into_iter()
-    .filter_map(|(key, enabled, folder, fix)| {
-        let folder = folder.filter(|_| enabled)?;
-        let refusal = unwritable(&folder)?;
+    ];
+    let finding = |(key, folder, fix): (_, Option<&Path>, &str)| {
+        let folder = folder?;
+        let refusal = unwritable(folder)?;
         let fix = format!("this user can't write there ({refusal}); {fix}");
         Some(Finding::warning(key, folder.display(), fix))
-    })
-    .collect()
+    };
+    folders.into_iter().filter_map(finding).collect()
 }
 
 /// Why files can't be made in `folder`, which the daemon creates if necessary.

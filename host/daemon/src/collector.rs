@@ -19,16 +19,17 @@ use singletrack_core::{
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_protocol::BoardMode;
-use singletrack_record::{Encoder, Entry, FeedInput, Level, Log, TickOutput};
+use singletrack_record::{Encoder, Entry, FeedInput, Level, TickOutput};
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
     drive_calibration::DriveCalibration,
     drive_noise::DriveNoise,
     files::ProofChange,
+    log::logged,
     reconfigure::Reconfigurer,
     shared_status::SharedStatus,
-    wall_watch::WallWatch,
+    wall_watch::{self, WallWatch},
 };
 
 /// The longest sleep: the control thread wakes the collector after every tick.
@@ -51,8 +52,6 @@ pub(crate) struct Collector {
     pub(crate) record: Option<FeedInput>,
     /// Encodes for the clients of the control socket.
     pub(crate) messages: Encoder,
-    /// Entries that found no room in the record's ring.
-    pub(crate) record_dropped: u64,
     /// The mode and reason that were logged last.
     pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
     /// The noise of the IMU in the drive under way.
@@ -83,12 +82,8 @@ impl Collector {
 
     fn distribute(&mut self) {
         let now_ns = monotonic_ns();
-        if let Some(step) = self.wall.update(now_ns, wall_ns()) {
-            self.log(
-                now_ns,
-                Level::Info,
-                format!("{step}; times in the record are not affected"),
-            );
+        if let Some(step_ns) = self.wall.update(now_ns, wall_ns()) {
+            self.log(now_ns, Level::Info, wall_watch::describe(step_ns));
         }
         while let Ok(entry) = self.entries.try_recv() {
             self.entry(entry);
@@ -108,7 +103,7 @@ impl Collector {
         }
         while let Some(tick) = self.ticks.pop() {
             if let Some(why) = tick.output.setpoint_refused {
-                self.status.setpoints.refuse(why);
+                self.status.latest().tally.figures.setpoints.refuse(why);
             }
             // First of all: a controller outside waits for it.
             self.states.tick(&tick);
@@ -136,7 +131,8 @@ impl Collector {
                 }
             }
             if let Some(measured) = tick.output.braking_measured {
-                let (level, text) = describe_braking(measured, self.reconfigurer.braking_m_s2());
+                let configured = self.reconfigurer.published().config.fence.braking_m_s2;
+                let (level, text) = describe_braking(measured, configured);
                 self.log(tick.start_ns, level, text);
             }
             self.entry(Entry::Tick(tick));
@@ -149,7 +145,7 @@ impl Collector {
                 let telemetry = &record.telemetry;
                 self.status.latest().board = Some((telemetry.mode, telemetry.stop_cause));
                 if telemetry.mode == BoardMode::Driving {
-                    let believed = self.reconfigurer.estimator();
+                    let believed = self.reconfigurer.published().config.estimator;
                     self.noise.telemetry(&record, &believed);
                 }
                 self.entry(Entry::Telemetry(record));
@@ -219,8 +215,9 @@ impl Collector {
         }
         self.log(time_ns, level, text);
         if mode.is_underway() {
-            let (number, config) = self.reconfigurer.published_config();
-            self.calibration.begin(number, &config);
+            let published = self.reconfigurer.published();
+            let number = published.view.number;
+            self.calibration.begin(number, &published.config);
         } else if let Some(known) = self.calibration.end() {
             if let Some(advice) = known.1.line() {
                 self.log(time_ns, Level::Warning, advice);
@@ -236,17 +233,7 @@ impl Collector {
     }
 
     fn log(&mut self, time_ns: u64, level: Level, text: String) {
-        match level {
-            Level::Debug => tracing::debug!("{text}"),
-            Level::Info => tracing::info!("{text}"),
-            Level::Warning => tracing::warn!("{text}"),
-            Level::Error => tracing::error!("{text}"),
-        }
-        self.entry(Entry::Log(Log {
-            time_ns,
-            level,
-            text,
-        }));
+        self.entry(logged(time_ns, level, text));
     }
 
     fn entry(&mut self, entry: Entry) {
@@ -260,18 +247,16 @@ impl Collector {
         if let Some(record) = &mut self.record
             && !record.push(entry)
         {
+            let mut latest = self.status.latest();
+            let dropped = &mut latest.tally.figures.dropped.record_entries;
+            *dropped += 1;
             // A record that has ended is reported elsewhere.
-            if self.record_dropped == 0 && self.status.latest().record_error.is_none() {
+            if *dropped == 1 && latest.record_error.is_none() {
                 tracing::warn!(
                     time_ns = monotonic_ns(),
                     "the record is incomplete: the disk does not keep up"
                 );
             }
-            self.record_dropped += 1;
-            self.status
-                .latest()
-                .tally
-                .record_dropped(self.record_dropped);
         }
     }
 }
@@ -292,53 +277,42 @@ fn describe_braking(measured: f64, configured: f64) -> (Level, String) {
 
 /// The level and the text of a link event for the log.
 fn describe(event: &LinkEvent) -> (Level, String) {
-    let version = |[major, minor, patch]: [u8; 3]| format!("{major}.{minor}.{patch}");
-    match event {
+    let level = match event {
+        LinkEvent::VersionMismatch(_) | LinkEvent::ConfigurationRefused { .. } => Level::Error,
+        LinkEvent::BoardRestarted { .. }
+        | LinkEvent::Refused { .. }
+        | LinkEvent::Unanswered { .. }
+        | LinkEvent::Lost { .. } => Level::Warning,
+        LinkEvent::Telemetry(_) | LinkEvent::Status(_) => Level::Debug,
+        _ => Level::Info,
+    };
+    let text = match event {
         LinkEvent::Connected {
-            board_software_version,
-        } => (
-            Level::Info,
-            format!(
-                "board connected, software {}",
-                version(*board_software_version)
-            ),
-        ),
-        LinkEvent::Identified { car_id } => (Level::Info, format!("board of car {car_id}")),
-        LinkEvent::VersionMismatch(mismatch) => (Level::Error, mismatch.to_string()),
-        LinkEvent::ConfigurationAccepted { hash } => (
-            Level::Info,
-            format!("board accepted its configuration, hash {hash:08x}"),
-        ),
-        LinkEvent::ConfigurationRefused { reason } => (
-            Level::Error,
-            format!("board refused its configuration: {}", reason.name()),
-        ),
-        LinkEvent::BoardRestarted { evidence } => (
-            Level::Warning,
-            format!("board restarted: {}", evidence.name()),
-        ),
-        LinkEvent::Acknowledged { request, .. } => (
-            Level::Info,
-            format!("board acknowledged: {}", request.name()),
-        ),
+            board_software_version: [major, minor, patch],
+        } => format!("board connected, software {major}.{minor}.{patch}"),
+        LinkEvent::Identified { car_id } => format!("board of car {car_id}"),
+        LinkEvent::VersionMismatch(mismatch) => mismatch.to_string(),
+        LinkEvent::ConfigurationAccepted { hash } => {
+            format!("board accepted its configuration, hash {hash:08x}")
+        }
+        LinkEvent::ConfigurationRefused { reason } => {
+            format!("board refused its configuration: {}", reason.name())
+        }
+        LinkEvent::BoardRestarted { evidence } => format!("board restarted: {}", evidence.name()),
+        LinkEvent::Acknowledged { request, .. } => {
+            format!("board acknowledged: {}", request.name())
+        }
         LinkEvent::Refused {
             request, reason, ..
-        } => (
-            Level::Warning,
-            format!("board refused: {}: {}", request.name(), reason.name()),
-        ),
-        LinkEvent::Unanswered { request, .. } => (
-            Level::Warning,
-            format!("board did not answer: {}", request.name()),
-        ),
-        LinkEvent::StopConfirmed { request } => {
-            (Level::Info, format!("board confirmed: {}", request.name()))
+        } => format!("board refused: {}: {}", request.name(), reason.name()),
+        LinkEvent::Unanswered { request, .. } => {
+            format!("board did not answer: {}", request.name())
         }
-        LinkEvent::Lost { cause } => (Level::Warning, format!("board lost: {}", cause.name())),
-        LinkEvent::Telemetry(_) | LinkEvent::Status(_) => {
-            (Level::Debug, "message from the board".to_owned())
-        }
-    }
+        LinkEvent::StopConfirmed { request } => format!("board confirmed: {}", request.name()),
+        LinkEvent::Lost { cause } => format!("board lost: {}", cause.name()),
+        LinkEvent::Telemetry(_) | LinkEvent::Status(_) => "message from the board".to_owned(),
+    };
+    (level, text)
 }
 
 #[cfg(test)]
@@ -410,7 +384,6 @@ mod tests {
             reconfigurer: Reconfigurer::new(host.configurations, host.requests, entries_in),
             record: None,
             messages: Encoder::new(clocks),
-            record_dropped: 0,
             logged_mode: None,
             noise: DriveNoise::default(),
             calibration: DriveCalibration::default(),

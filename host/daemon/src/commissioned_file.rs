@@ -81,13 +81,12 @@ impl CommissionedFile {
             return None;
         }
         match subject(config) {
-            Ok(subject) => self.missing(subject).map(|missing| missing.to_string()),
+            Ok(subject) => {
+                let missing = self.cars().missing(subject, now_s());
+                missing.map(|missing| missing.to_string())
+            }
             Err(error) => Some(error.to_string()),
         }
-    }
-
-    fn missing(&self, subject: Subject) -> Option<NotCommissioned> {
-        self.cars().missing(subject, now_s())
     }
 
     /// What has to be done before a procedure may begin or go on; `None` for every other result.

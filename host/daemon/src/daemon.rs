@@ -2,7 +2,6 @@
 
 use std::{
     fs::File,
-    io,
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -14,11 +13,8 @@ use std::{
 };
 
 use singletrack_core::{
-    ControlRequest, Host, HostOptions, LineCounters, Stalled,
-    config::{Config, ConfigError},
-    control_loop::ControlLoop,
-    reconfigure::ChangeError,
-    serial::ReaderCounters,
+    ControlRequest, Host, HostOptions, LineCounters, Stalled, config::Config,
+    control_loop::ControlLoop, reconfigure::ChangeError, serial::ReaderCounters,
     state_stream::States,
 };
 use singletrack_mocap::planar::PlanarCounters as MocapCounters;
@@ -37,17 +33,17 @@ use crate::{
     files::FreeSpace,
     handle::DaemonHandle,
     mocap_receiver,
-    mocap_socket::{MocapSocketError, MocapSockets},
+    mocap_socket::MocapSockets,
     realtime::{self, RealTimeStatus},
     reconfigure::Reconfigurer,
-    recording::{self, RecordingError, RunningRecord},
+    recording::{self, RunningRecord},
     serial_reader,
     shared_status::SharedStatus,
     snapshot::Snapshot,
-    socket::{BoundSocket, Drives, SetpointSource, SocketError, SocketThread},
+    socket::{BoundSocket, Drives, SetpointSource, SocketThread},
     state_file::StateFile,
-    summary::{Figures, Summary},
-    threads::{NamedThread, NotStarted},
+    summary::Summary,
+    threads::NamedThread,
     wake::StopFlag,
     wall_watch::WallWatch,
 };
@@ -69,37 +65,6 @@ pub struct StartOptions {
     pub seed: Option<u64>,
 }
 
-/// Why the daemon does not start.
-#[derive(Debug, thiserror::Error)]
-pub enum StartError {
-    /// The configuration is invalid.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The sockets to the cameras can't be opened.
-    #[error(transparent)]
-    MotionCapture(#[from] MocapSocketError),
-    /// The record can't be created.
-    #[error(transparent)]
-    Record(#[from] RecordingError),
-    /// The control socket can't be created.
-    #[error(transparent)]
-    Socket(#[from] SocketError),
-    /// A thread can't be started.
-    #[error("can't start the {name} thread: {source}")]
-    Thread {
-        /// The name of the thread.
-        name: &'static str,
-        /// The system's error.
-        source: io::Error,
-    },
-}
-
-impl From<NotStarted> for StartError {
-    fn from(NotStarted { name, source }: NotStarted) -> Self {
-        Self::Thread { name, source }
-    }
-}
-
 /// Why the daemon did not end in order. The board puts the car to neutral by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
@@ -117,7 +82,7 @@ pub enum StopError {
 /// A running daemon. If it is dropped, it disarms the board and ends.
 #[derive(Debug)]
 pub struct Daemon {
-    handle: DaemonHandle,
+    pub(crate) handle: DaemonHandle,
     control: Option<NamedThread<LineCounters>>,
     stop: StopFlag,
     reader: Option<NamedThread<ReaderCounters>>,
@@ -146,20 +111,21 @@ impl Daemon {
     ///
     /// # Errors
     ///
-    /// [`StartError`], with what to do about it. No thread runs then.
-    pub fn start(config: Config, options: StartOptions) -> Result<Self, StartError> {
+    /// Why it does not start, and what to do about it. No thread runs then.
+    pub fn start(config: Config, options: StartOptions) -> Result<Self, String> {
         let state = StateFile::load(&config.state.directory);
         let commissioned = CommissionedFile::load(&config.state.directory);
         let seed = wall_ns() ^ u64::from(std::process::id());
-        let host = Host::new(
-            config,
-            HostOptions {
-                nonce_seed: seed,
-                arm_when_ready: options.arm,
-                proofs: state.proofs(),
-                ..HostOptions::default()
-            },
-        )?;
+        let options_of_host = HostOptions {
+            nonce_seed: seed,
+            arm_when_ready: options.arm,
+            proofs: state.proofs(),
+            ..HostOptions::default()
+        };
+        let host = match Host::new(config, options_of_host) {
+            Ok(host) => host,
+            Err(error) => return Err(error.to_string()),
+        };
         let config = host.configurations.in_force().clone();
         let mut refusals = Vec::new();
         let memory_locked = options.lock_memory
@@ -175,10 +141,7 @@ impl Daemon {
             true => Some(BoundSocket::open(&config.socket)?),
             false => None,
         };
-        let stop = StopFlag::new().map_err(|source| StartError::Thread {
-            name: "control",
-            source,
-        })?;
+        let stop = StopFlag::new().map_err(|error| format!("can't make an eventfd: {error}"))?;
         let begin = ClockMapping {
             monotonic_ns: monotonic_ns(),
             wall_ns: wall_ns(),
@@ -253,7 +216,6 @@ impl Daemon {
             reconfigurer: daemon.handle.reconfigurer.clone(),
             record,
             messages: Encoder::new(begin),
-            record_dropped: 0,
             logged_mode: None,
             noise: DriveNoise::default(),
             calibration: DriveCalibration::default(),
@@ -296,7 +258,7 @@ impl Daemon {
         config: &Config,
         mut control: ControlLoop<crate::serial_port::WriteHalf>,
         collector: thread::Thread,
-    ) -> Result<thread::Thread, StartError> {
+    ) -> Result<thread::Thread, String> {
         let priority = config.control.realtime_priority;
         let period_ns = config.control.period_ns();
         let state = self.handle.control.clone();
@@ -365,25 +327,7 @@ impl Daemon {
 
     /// The number of the configuration in force, and the last attempt to change it.
     pub fn configuration(&self) -> singletrack_api::Configuration {
-        self.handle.reconfigurer.view()
-    }
-
-    /// Begins a shutdown: the car slows down and stops, then the board is disarmed.
-    ///
-    /// # Errors
-    ///
-    /// [`Stalled`] if the control thread takes no requests.
-    pub fn begin_stop(&self) -> Result<(), Stalled> {
-        self.handle.requests.push(ControlRequest::Finish)
-    }
-
-    /// Begins an immediate shutdown: the board is disarmed even if the car drives.
-    ///
-    /// # Errors
-    ///
-    /// [`Stalled`] if the control thread takes no requests.
-    pub fn begin_abort(&self) -> Result<(), Stalled> {
-        self.handle.requests.push(ControlRequest::Abort)
+        self.handle.reconfigurer.published().view.clone()
     }
 
     /// Logs once if the recorder has failed. The drive goes on without a record.
@@ -402,11 +346,6 @@ impl Daemon {
         error!("recording has ended: {reason}");
         self.handle.status.latest().record_error = Some(reason);
         self.broken_record = Some(path);
-    }
-
-    /// Why nothing is recorded, or soon will not be; `None` if all is well with the record.
-    pub fn record_trouble(&self) -> Option<String> {
-        self.handle.record_trouble()
     }
 
     /// The number of ticks that the control thread has done.
@@ -462,14 +401,8 @@ impl Daemon {
         if let Some(socket) = self.socket.take() {
             join(Some(socket.end()), &mut failed);
         }
-        let mut counts = EndCounts::default();
-        if let Some(counters) = join(self.reader.take(), &mut failed) {
-            counts.serial_bytes = counters.bytes_dropped;
-        }
-        if let Some((counters, dropped)) = join(self.receiver.take(), &mut failed) {
-            counts.mocap = Some(counters);
-            counts.observations = dropped;
-        }
+        let reader = join(self.reader.take(), &mut failed);
+        let receiver = join(self.receiver.take(), &mut failed);
         self.collector_stop.store(true, Ordering::Release);
         if let Some(collector) = &self.collector {
             collector.thread().unpark();
@@ -490,17 +423,14 @@ impl Daemon {
         })?;
         let mut latest = self.handle.status.latest();
         latest.tally.line(&counters);
-        if let Some(counters) = &counts.mocap {
-            latest.tally.mocap(counters);
+        if let Some((counters, dropped)) = receiver {
+            latest.tally.mocap(&counters);
+            latest.tally.figures.dropped.observations = dropped;
         }
-        latest
-            .tally
-            .dropped_inputs(counts.observations, counts.serial_bytes);
+        let serial_bytes = reader.map_or(0, |counters| counters.bytes_dropped);
+        latest.tally.figures.dropped.serial_bytes = serial_bytes;
         Ok(Summary {
-            figures: Figures {
-                setpoints: self.handle.status.setpoints.figures(),
-                ..latest.tally.figures()
-            },
+            figures: latest.tally.figures(),
             realtime: self.handle.realtime.clone(),
             record,
             record_error,
@@ -541,14 +471,6 @@ impl Daemon {
         }
         control.join().ok_or(StopError::Panicked)
     }
-}
-
-/// Counts of the input threads, known when they have ended.
-#[derive(Default)]
-struct EndCounts {
-    serial_bytes: u64,
-    observations: u64,
-    mocap: Option<MocapCounters>,
 }
 
 impl Drop for Daemon {

@@ -12,9 +12,9 @@ use std::{
 
 use rustix::fs::statvfs;
 use singletrack_core::Proof;
-use singletrack_record::{Entry, Level, Log};
+use singletrack_record::{Entry, Level};
 
-use crate::{clock::monotonic_ns, shared_status::SharedStatus, state_file::StateFile};
+use crate::{clock::monotonic_ns, log::logged, shared_status::SharedStatus, state_file::StateFile};
 
 /// Interval of the attempts to write a file that could not be written.
 const RETRY: Duration = Duration::from_secs(10);
@@ -101,16 +101,8 @@ impl Files {
     }
 
     fn log(&self, level: Level, text: String) {
-        match level {
-            Level::Error => tracing::error!("{text}"),
-            _ => tracing::warn!("{text}"),
-        }
         // An error means that the collector, and with it the record, has ended.
-        let _ = self.entries.send(Entry::Log(Log {
-            time_ns: monotonic_ns(),
-            level,
-            text,
-        }));
+        let _ = self.entries.send(logged(monotonic_ns(), level, text));
     }
 }
 

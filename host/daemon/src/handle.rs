@@ -14,7 +14,6 @@ use crate::{
     shared_status::SharedStatus,
     snapshot::Snapshot,
     socket::{Drives, SetpointSource},
-    summary::Figures,
 };
 
 /// Reads the daemon's status and passes requests to the control thread.
@@ -54,7 +53,7 @@ impl DaemonHandle {
     /// Copies the present status.
     pub(crate) fn snapshot(&self) -> Snapshot {
         let latest = self.status.latest();
-        let configuration = self.reconfigurer.view();
+        let published = self.reconfigurer.published();
         let calibration = latest.calibration.as_ref();
         Snapshot {
             tick: latest.tick.clone(),
@@ -64,20 +63,16 @@ impl DaemonHandle {
             proved: latest.proved,
             // That of another configuration says nothing of this one.
             calibration: calibration
-                .filter(|(number, _)| *number == configuration.number)
+                .filter(|(number, _)| *number == published.view.number)
                 .map(|(_, calibration)| calibration.clone()),
             learned: latest.learned,
             cameras: latest.cameras.clone(),
-            figures: Figures {
-                setpoints: self.status.setpoints.figures(),
-                ..latest.tally.figures()
-            },
+            figures: latest.tally.figures(),
             realtime: self.realtime.clone(),
-            configuration,
-            tuning: self.reconfigurer.tuning_rule(),
-            commissioned: self
-                .reconfigurer
-                .subject()
+            configuration: published.view.clone(),
+            tuning: published.config.tuning_rule(),
+            commissioned: published
+                .subject
                 .map(|subject| self.commissioned.view(subject)),
             config_path: self.config_path.clone(),
             record: self.record.clone(),

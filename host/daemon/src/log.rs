@@ -6,7 +6,9 @@ use std::{
     io::{self, IsTerminal},
 };
 
-use tracing::{info, warn};
+use serde_json::json;
+use singletrack_record::{Entry, Level, Log};
+use tracing::{debug, error, info, warn};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::{
     filter::{LevelFilter, Targets},
@@ -47,13 +49,28 @@ pub(crate) fn start_log(format: LogFormat, level: LevelFilter) -> WorkerGuard {
     guard
 }
 
+/// Logs a line. Returns it for the record.
+pub(crate) fn logged(time_ns: u64, level: Level, text: String) -> Entry {
+    match level {
+        Level::Debug => debug!("{text}"),
+        Level::Info => info!("{text}"),
+        Level::Warning => warn!("{text}"),
+        Level::Error => error!("{text}"),
+    }
+    Entry::Log(Log {
+        time_ns,
+        level,
+        text,
+    })
+}
+
 /// Logs the figures of a run.
 pub(crate) fn log_summary(summary: &Summary) {
     let figures = &summary.figures;
-    info!("serial line: {}", figures.frames);
-    info!("motion capture: {}", figures.mocap);
+    info!("serial line: {}", json!(figures.frames));
+    info!("motion capture: {}", json!(figures.mocap));
     if figures.dropped != Dropped::default() {
-        warn!("dropped for want of room: {}", figures.dropped);
+        warn!("dropped for want of room: {}", json!(figures.dropped));
     }
     info!(
         ticks = figures.ticks,

@@ -15,16 +15,6 @@ use socket2::{Domain, Protocol, Socket, Type};
 
 use crate::mocap_stream::MocapStream;
 
-/// Why a socket can't be opened, and what to do about it.
-#[derive(Debug, thiserror::Error)]
-#[error("motion capture: can't {action} {address}: {source}; {fix}")]
-pub struct MocapSocketError {
-    action: &'static str,
-    address: SocketAddrV4,
-    source: io::Error,
-    fix: &'static str,
-}
-
 /// One socket for unicast; a second one for the frames of multicast; and a stream for protocols
 /// that have one.
 #[derive(Debug)]
@@ -42,7 +32,7 @@ impl MocapSockets {
     /// # Errors
     ///
     /// An address can't be bound, or a group can't be joined.
-    pub fn open(config: &MotionCaptureSection) -> Result<Self, MocapSocketError> {
+    pub fn open(config: &MotionCaptureSection) -> Result<Self, String> {
         let command = bind(
             SocketAddrV4::new(config.interface, 0),
             "motion_capture.interface must be an address of this computer, or 0.0.0.0",
@@ -105,7 +95,7 @@ impl Sockets for MocapSockets {
     }
 }
 
-fn bind(address: SocketAddrV4, fix: &'static str) -> Result<UdpSocket, MocapSocketError> {
+fn bind(address: SocketAddrV4, fix: &str) -> Result<UdpSocket, String> {
     let open = || -> io::Result<UdpSocket> {
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
         socket.set_nonblocking(true)?;
@@ -116,15 +106,10 @@ fn bind(address: SocketAddrV4, fix: &'static str) -> Result<UdpSocket, MocapSock
         socket.bind(&address.into())?;
         Ok(socket.into())
     };
-    open().map_err(|source| MocapSocketError {
-        action: "bind to",
-        address,
-        source,
-        fix,
-    })
+    open().map_err(|error| format!("motion capture: can't bind to {address}: {error}; {fix}"))
 }
 
-fn join(config: &MotionCaptureSection) -> Result<UdpSocket, MocapSocketError> {
+fn join(config: &MotionCaptureSection) -> Result<UdpSocket, String> {
     // Bound to the group's address, the socket receives its datagrams only.
     let address = SocketAddrV4::new(config.group, config.data_port);
     let socket = bind(
@@ -134,11 +119,11 @@ fn join(config: &MotionCaptureSection) -> Result<UdpSocket, MocapSocketError> {
     let interface: Ipv4Addr = config.interface;
     socket
         .join_multicast_v4(&config.group, &interface)
-        .map_err(|source| MocapSocketError {
-            action: "join",
-            address,
-            source,
-            fix: "motion_capture.interface must be this computer's address in the cameras' network",
+        .map_err(|error| {
+            format!(
+                "motion capture: can't join {address}: {error}; motion_capture.interface must be \
+                 this computer's address in the cameras' network"
+            )
         })?;
     Ok(socket)
 }

@@ -19,26 +19,15 @@ use std::{
     time::Duration,
 };
 
+/// The start, or a reload, is complete.
+pub const READY: &str = "READY=1\n";
+
+/// The shutdown has begun.
+pub const STOPPING: &str = "STOPPING=1\n";
+
 /// The longest time that a notification may block if the manager does not read its
 /// socket.
 const SEND_TIMEOUT: Duration = Duration::from_millis(50);
-
-/// Why the service manager can't be notified.
-#[derive(Debug, thiserror::Error)]
-pub enum NotifyError {
-    /// `NOTIFY_SOCKET` is neither a path nor an abstract name.
-    #[error(
-        "NOTIFY_SOCKET is {0:?}: only /paths and @abstract names are known; \
-         is it set by systemd, or left over?"
-    )]
-    Address(OsString),
-    /// The socket can't be opened.
-    #[error("NOTIFY_SOCKET {0:?}: {1}")]
-    Socket(OsString, io::Error),
-    /// `WATCHDOG_USEC` is not a positive number.
-    #[error("WATCHDOG_USEC is {0:?}: it must be a number of microseconds above 0")]
-    Watchdog(OsString),
-}
 
 /// The service manager that started this process, if one did.
 #[derive(Debug, Default)]
@@ -54,7 +43,7 @@ impl ServiceManager {
     /// # Errors
     ///
     /// A variable of the environment is invalid, or the socket can't be opened.
-    pub fn from_environment() -> Result<Self, NotifyError> {
+    pub fn from_environment() -> Result<Self, String> {
         Self::new(
             env::var_os("NOTIFY_SOCKET"),
             env::var_os("WATCHDOG_USEC"),
@@ -69,7 +58,7 @@ impl ServiceManager {
         watchdog_usec: Option<OsString>,
         watchdog_pid: Option<OsString>,
         process: u32,
-    ) -> Result<Self, NotifyError> {
+    ) -> Result<Self, String> {
         let Some(name) = socket.filter(|name| !name.is_empty()) else {
             return Ok(Self::default());
         };
@@ -79,7 +68,11 @@ impl ServiceManager {
             None => None,
             Some(text) => match text.to_str().and_then(|text| text.parse().ok()) {
                 Some(microseconds @ 1..) => Some(Duration::from_micros(microseconds)),
-                _ => return Err(NotifyError::Watchdog(text)),
+                _ => {
+                    return Err(format!(
+                        "WATCHDOG_USEC is {text:?}: it must be a number of microseconds above 0"
+                    ));
+                }
             },
         };
         let address = address(&name)?;
@@ -88,31 +81,21 @@ impl ServiceManager {
             socket.set_write_timeout(Some(SEND_TIMEOUT))?;
             Ok(socket)
         };
-        let socket = open().map_err(|error| NotifyError::Socket(name, error))?;
+        let socket = open().map_err(|error| format!("NOTIFY_SOCKET {name:?}: {error}"))?;
         Ok(Self {
             peer: Some((socket, address)),
             watchdog,
         })
     }
 
-    /// The start, or a reload, is complete.
-    pub fn ready(&self, status: &str) {
-        self.send(&format!("READY=1\nSTATUS={}", one_line(status)));
-    }
-
-    /// A new status line.
-    pub fn status(&self, status: &str) {
-        self.send(&format!("STATUS={}", one_line(status)));
+    /// A new status line; `state` comes before it.
+    pub fn status(&self, state: &str, status: &str) {
+        self.send(&format!("{state}STATUS={}", one_line(status)));
     }
 
     /// A reload of the configuration began at `monotonic_ns` of `CLOCK_MONOTONIC`.
     pub fn reloading(&self, monotonic_ns: u64) {
         self.send(&reloading(monotonic_ns));
-    }
-
-    /// The shutdown has begun.
-    pub fn stopping(&self, status: &str) {
-        self.send(&format!("STOPPING=1\nSTATUS={}", one_line(status)));
     }
 
     /// A sign of life for the watchdog.
@@ -130,13 +113,18 @@ impl ServiceManager {
     }
 }
 
-fn address(name: &OsStr) -> Result<SocketAddr, NotifyError> {
+fn address(name: &OsStr) -> Result<SocketAddr, String> {
     let address = match name.as_bytes() {
         [b'@', abstract_name @ ..] => SocketAddr::from_abstract_name(abstract_name),
         [b'/', ..] => SocketAddr::from_pathname(name),
-        _ => return Err(NotifyError::Address(name.to_owned())),
+        _ => {
+            return Err(format!(
+                "NOTIFY_SOCKET is {name:?}: only /paths and @abstract names are known; \
+                 is it set by systemd, or left over?"
+            ));
+        }
     };
-    address.map_err(|error| NotifyError::Socket(name.to_owned(), error))
+    address.map_err(|error| format!("NOTIFY_SOCKET {name:?}: {error}"))
 }
 
 /// The notification of a reload. The time needs 64 bits: microseconds of
@@ -247,7 +235,7 @@ mod tests {
         assert_eq!(interval(manager("2000000", Some("7"))), two_seconds);
         assert_eq!(interval(manager("2000000", Some("8"))), None);
         for wrong in ["", "0", "-1", "2s"] {
-            let error = manager(wrong, None).unwrap_err().to_string();
+            let error = manager(wrong, None).unwrap_err();
             assert!(error.contains("WATCHDOG_USEC"), "{error}");
         }
     }

@@ -14,13 +14,13 @@ use singletrack_api::{Change, Configuration};
 use singletrack_core::{
     Requests, Stalled,
     commissioned::Subject,
-    config::{Config, EstimatorSection, ReferenceSection, TuningRule},
+    config::{Config, ReferenceSection},
     reconfigure::{CHANGE_TIMEOUT_NS, ChangeError, Configurations},
 };
-use singletrack_record::{ConfigurationRecord, Entry, Level, Log};
-use tracing::{info, warn};
+use singletrack_record::{ConfigurationRecord, Entry, Level};
+use tracing::warn;
 
-use crate::{clock::monotonic_ns, commissioned_file::subject};
+use crate::{clock::monotonic_ns, commissioned_file::subject, log::logged};
 
 /// The longest time until the control thread takes a change.
 const CHANGE_TIMEOUT: Duration = Duration::from_nanos(CHANGE_TIMEOUT_NS);
@@ -45,12 +45,12 @@ struct Shared {
 
 /// What other threads may know of the configuration in force.
 #[derive(Debug)]
-struct Published {
-    view: Configuration,
-    config: Arc<Config>,
-    subject: Option<Subject>,
+pub(crate) struct Published {
+    pub(crate) view: Configuration,
+    pub(crate) config: Arc<Config>,
+    pub(crate) subject: Option<Subject>,
     /// All of it; none if a path is not UTF-8.
-    toml: Option<Arc<str>>,
+    pub(crate) toml: Option<String>,
 }
 
 impl Published {
@@ -63,7 +63,17 @@ impl Published {
             },
             config: Arc::new(config.clone()),
             subject: subject(config).ok(),
-            toml: config.to_toml().ok().map(Arc::from),
+            toml: config.to_toml().ok(),
+        }
+    }
+
+    /// How long a set-point is valid, in s; `None` if the reference is not external.
+    pub(crate) fn setpoint_timeout(&self) -> Option<f64> {
+        match self.config.reference {
+            ReferenceSection::External {
+                setpoint_timeout_ms,
+            } => Some(f64::from(setpoint_timeout_ms) * 1e-3),
+            _ => None,
         }
     }
 }
@@ -118,52 +128,6 @@ impl Reconfigurer {
         (configurations.number(), configurations.in_force().clone())
     }
 
-    /// The number and the configuration in force; it waits for nothing.
-    pub(crate) fn published_config(&self) -> (u32, Arc<Config>) {
-        let published = self.published();
-        (published.view.number, Arc::clone(&published.config))
-    }
-
-    pub(crate) fn view(&self) -> Configuration {
-        self.published().view.clone()
-    }
-
-    /// How long a set-point is valid, in s; `None` if the reference in force is not external.
-    pub(crate) fn setpoint_timeout(&self) -> Option<f64> {
-        match self.published().config.reference {
-            ReferenceSection::External {
-                setpoint_timeout_ms,
-            } => Some(f64::from(setpoint_timeout_ms) * 1e-3),
-            _ => None,
-        }
-    }
-
-    /// `fence.braking_m_s2` of the configuration in force.
-    pub(crate) fn braking_m_s2(&self) -> f64 {
-        self.published().config.fence.braking_m_s2
-    }
-
-    /// `[estimator]` of the configuration in force.
-    pub(crate) fn estimator(&self) -> EstimatorSection {
-        self.published().config.estimator
-    }
-
-    /// The rule for requests to tune, of the configuration in force.
-    pub(crate) fn tuning_rule(&self) -> TuningRule {
-        self.published().config.tuning_rule()
-    }
-
-    /// The number and the text of the configuration in force; it waits for nothing.
-    pub(crate) fn text(&self) -> (u32, Option<Arc<str>>) {
-        let published = self.published();
-        (published.view.number, published.toml.clone())
-    }
-
-    /// The car of the configuration in force.
-    pub(crate) fn subject(&self) -> Option<Subject> {
-        self.published().subject
-    }
-
     /// Delays every change and every reader of the configuration for as long as it is held.
     #[cfg(test)]
     pub(crate) fn pause(&self) -> impl Drop + '_ {
@@ -176,7 +140,8 @@ impl Reconfigurer {
         self.published().view.number += 1;
     }
 
-    fn published(&self) -> MutexGuard<'_, Published> {
+    /// The configuration in force; it waits for no change.
+    pub(crate) fn published(&self) -> MutexGuard<'_, Published> {
         let published = self.0.published.lock();
         published.unwrap_or_else(PoisonError::into_inner)
     }
@@ -239,35 +204,25 @@ impl Reconfigurer {
     /// Logs, records and publishes the configuration that is now in force.
     fn record(&self, by: &'static str, configurations: &Configurations) {
         let number = configurations.number();
-        info!("{by}: configuration {number} is in force");
         let time_ns = monotonic_ns();
-        let toml = configurations.in_force().to_toml();
-        let (level, text) = match toml {
+        let mut text = format!("{by}: configuration {number} is in force");
+        let mut level = Level::Info;
+        match configurations.in_force().to_toml() {
             Ok(toml) => {
+                let record = ConfigurationRecord {
+                    time_ns,
+                    number,
+                    toml,
+                };
                 // An error means that the collector, and with it the record, has ended.
-                let _ = self
-                    .0
-                    .entries
-                    .send(Entry::Configuration(ConfigurationRecord {
-                        time_ns,
-                        number,
-                        toml,
-                    }));
-                (
-                    Level::Info,
-                    format!("{by}: configuration {number} is in force"),
-                )
+                let _ = self.0.entries.send(Entry::Configuration(record));
             }
-            Err(error) => (
-                Level::Warning,
-                format!("{by}: configuration {number} is in force and can't be recorded: {error}"),
-            ),
-        };
-        let _ = self.0.entries.send(Entry::Log(Log {
-            time_ns,
-            level,
-            text,
-        }));
+            Err(error) => {
+                level = Level::Warning;
+                text += &format!(" and can't be recorded: {error}");
+            }
+        }
+        let _ = self.0.entries.send(logged(time_ns, level, text));
         let change = Change {
             by: by.into(),
             error: None,

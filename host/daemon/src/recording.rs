@@ -3,7 +3,7 @@
 use core::fmt;
 use std::{
     error::Error,
-    fs, io,
+    fs,
     path::{Path, PathBuf},
 };
 
@@ -17,24 +17,8 @@ use crate::clock::compact_utc;
 /// Entries that may wait for the disk: about 3 s at 350 per second.
 const CAPACITY: usize = 1_024;
 
-/// Why the record can't be created.
-#[derive(Debug, thiserror::Error)]
-pub enum RecordingError {
-    /// The configured folder can't be created.
-    #[error("can't make record.directory {}: {source}; choose another, or set record.enabled = false", path.display())]
-    Directory {
-        /// The folder.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// The configuration can't be written into the metadata.
-    #[error("can't write the configuration into the record: {0}; every path in it must be UTF-8")]
-    Configuration(#[from] toml::ser::Error),
-    /// The file can't be created.
-    #[error("{0}; choose another record.directory, or set record.enabled = false")]
-    Record(#[from] RecordError),
-}
+/// What to do about a record that can't be created.
+const FIX: &str = "choose another record.directory, or set record.enabled = false";
 
 /// A record that is being written.
 pub(crate) struct RunningRecord {
@@ -59,25 +43,30 @@ pub(crate) fn start(
     path: Option<PathBuf>,
     seed: Option<u64>,
     start: ClockMapping,
-) -> Result<Option<(RunningRecord, FeedInput)>, RecordingError> {
+) -> Result<Option<(RunningRecord, FeedInput)>, String> {
     if path.is_none() && !config.record.enabled {
         return Ok(None);
     }
-    let meta = record_meta(config, seed, start)?;
+    let meta = record_meta(config, seed, start).map_err(|error| {
+        format!(
+            "can't write the configuration into the record: {error}; every path in it must be UTF-8"
+        )
+    })?;
     let path = match path {
         Some(path) => path,
         None => {
             let directory = &config.record.directory;
-            fs::create_dir_all(directory).map_err(|source| RecordingError::Directory {
-                path: directory.clone(),
-                source,
+            fs::create_dir_all(directory).map_err(|error| {
+                let directory = directory.display();
+                format!("can't make record.directory {directory}: {error}; {FIX}")
             })?;
             free_name(directory, &compact_utc(start.wall_ns))
         }
     };
-    let recorder = Recorder::create(&path, &meta)?;
+    let refused = |error: RecordError| format!("{error}; {FIX}");
+    let recorder = Recorder::create(&path, &meta).map_err(refused)?;
     let (input, output) = feed(CAPACITY);
-    let thread = RecorderThread::start(recorder, vec![output], |_| {})?;
+    let thread = RecorderThread::start(recorder, vec![output], |_| {}).map_err(refused)?;
     Ok(Some((RunningRecord { thread, path }, input)))
 }
 
@@ -114,7 +103,7 @@ fn free_name(directory: &Path, time: &str) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
-    use std::{ffi::OsStr, os::unix::ffi::OsStrExt};
+    use std::{ffi::OsStr, io, os::unix::ffi::OsStrExt};
 
     use super::*;
 
@@ -156,7 +145,7 @@ mod tests {
         config.record.directory = folder.path().join("records");
         config.serial.port = PathBuf::from(OsStr::from_bytes(b"/dev/\xff"));
         let error = start(&config, None, None, START).err().unwrap();
-        assert!(matches!(error, RecordingError::Configuration(_)), "{error}");
+        assert!(error.contains("must be UTF-8"), "{error}");
         assert!(!config.record.directory.exists());
         config.record.enabled = false;
         assert!(start(&config, None, None, START).unwrap().is_none());

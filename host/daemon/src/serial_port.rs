@@ -3,7 +3,7 @@
 use std::{
     io,
     os::fd::{AsFd, BorrowedFd, OwnedFd},
-    path::{Path, PathBuf},
+    path::Path,
 };
 
 use rustix::{
@@ -14,33 +14,6 @@ use singletrack_core::line::{Line, OutputQueue, Sent};
 use singletrack_link::Transmit;
 
 use crate::system;
-
-/// Why the port can't be opened, and what to do about it.
-#[derive(Debug, thiserror::Error)]
-pub enum PortError {
-    /// The device does not exist.
-    #[error(
-        "{}: no such device; plug the board in, or correct serial.port; if the port appears and goes \
-         again, remove the program brltty", .0.display()
-    )]
-    NotFound(PathBuf),
-    /// The user has no permission.
-    #[error("{}: permission denied; add the user to the group dialout and log in again", .0.display())]
-    Permission(PathBuf),
-    /// Another program has locked the port.
-    #[error("{}: in use by another program; stop it (a second singletrackd, a serial monitor, ModemManager)", .0.display())]
-    Busy(PathBuf),
-    /// The device is not a serial port, or does not support the settings.
-    #[error("{}: {reason}; is it the board's serial port, and does it support {baud} baud?", path.display())]
-    Other {
-        /// The device.
-        path: PathBuf,
-        /// The configured baud rate.
-        baud: u32,
-        /// The system's error.
-        reason: String,
-    },
-}
 
 /// The read half of an open port.
 #[derive(Debug)]
@@ -64,26 +37,27 @@ const BUFFER: usize = core::mem::size_of::<Transmit>() + 1;
 ///
 /// # Errors
 ///
-/// [`PortError`], with what to do about it.
-pub fn open(path: &Path, baud: u32) -> Result<(ReadHalf, WriteHalf), PortError> {
-    let other = |reason: String| PortError::Other {
-        path: path.to_owned(),
-        baud,
-        reason,
+/// Why it can't be opened, and what to do about it.
+pub fn open(path: &Path, baud: u32) -> Result<(ReadHalf, WriteHalf), String> {
+    let name = path.display();
+    let other = |reason: String| {
+        format!("{name}: {reason}; is it the board's serial port, and does it support {baud} baud?")
     };
     let port = serialport::new(path.to_string_lossy(), baud)
         .open_native()
         .map_err(|error| match error.kind() {
-            serialport::ErrorKind::Io(io::ErrorKind::NotFound) => {
-                PortError::NotFound(path.to_owned())
-            }
-            serialport::ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
-                PortError::Permission(path.to_owned())
-            }
+            serialport::ErrorKind::Io(io::ErrorKind::NotFound) => format!(
+                "{name}: no such device; plug the board in, or correct serial.port; if the port \
+                 appears and goes again, remove the program brltty"
+            ),
+            serialport::ErrorKind::Io(io::ErrorKind::PermissionDenied) => format!(
+                "{name}: permission denied; add the user to the group dialout and log in again"
+            ),
             serialport::ErrorKind::NoDevice
-            | serialport::ErrorKind::Io(io::ErrorKind::WouldBlock) => {
-                PortError::Busy(path.to_owned())
-            }
+            | serialport::ErrorKind::Io(io::ErrorKind::WouldBlock) => format!(
+                "{name}: in use by another program; stop it (a second singletrackd, a serial \
+                 monitor, ModemManager)"
+            ),
             _ => other(error.description),
         })?;
     let file = system::file_of(port);

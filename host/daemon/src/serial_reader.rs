@@ -37,7 +37,6 @@ impl Port for Device {
                 Some(write)
             }
             Err(error) => {
-                let error = error.to_string();
                 let last = self.status.latest().serial_error.replace(error.clone());
                 if last.as_ref() != Some(&error) {
                     warn!("can't open the serial port: {error}");

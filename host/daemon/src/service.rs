@@ -8,14 +8,14 @@ use std::{
 };
 
 use rustix::fs::{Mode, OFlags, open};
-use singletrack_core::Stalled;
+use singletrack_core::{ControlRequest, Stalled};
 use tracing::{error, info, warn};
 
 use crate::{
     Daemon,
     log::log_summary,
     monotonic_ns,
-    notify::{ServiceManager, Watchdog},
+    notify::{READY, STOPPING, ServiceManager, Watchdog},
     signals::{Signal, Signals},
 };
 
@@ -99,10 +99,8 @@ impl Service {
         }
         let status = self.status();
         if self.sent_status.as_ref() != Some(&status) {
-            match self.sent_status {
-                None => self.manager.ready(&status),
-                Some(_) => self.manager.status(&status),
-            }
+            let state = self.sent_status.as_ref().map_or(READY, |_| "");
+            self.manager.status(state, &status);
             self.sent_status = Some(status);
         }
         if let Some(watchdog) = &mut self.watchdog
@@ -131,7 +129,7 @@ impl Service {
         {
             status += &format!("; {by} refused: {error}");
         }
-        if let Some(trouble) = self.daemon.record_trouble() {
+        if let Some(trouble) = self.daemon.handle.record_trouble() {
             status += &format!("; {trouble}");
         }
         status
@@ -147,7 +145,7 @@ impl Service {
         // The daemon logs an error.
         let _ = self.daemon.reload(&self.path);
         let status = self.status();
-        self.manager.ready(&status);
+        self.manager.status(READY, &status);
         self.sent_status = Some(status);
     }
 
@@ -158,16 +156,17 @@ impl Service {
 
     /// Asks the daemon to end before anything is logged. A second signal disarms at once.
     fn begin_end(&mut self, signal: &str) -> Result<(), Stalled> {
+        let requests = &self.daemon.handle.requests;
         let result = match self.ending_since {
             None => {
-                let result = self.daemon.begin_stop();
+                let result = requests.push(ControlRequest::Finish);
                 info!(signal, "stopping");
-                self.manager
-                    .stopping(&format!("{signal}: stopping the car"));
+                let text = format!("{signal}: stopping the car");
+                self.manager.status(STOPPING, &text);
                 result
             }
             Some(_) => {
-                let result = self.daemon.begin_abort();
+                let result = requests.push(ControlRequest::Abort);
                 warn!(signal, "disarming at once");
                 result
             }
@@ -182,7 +181,7 @@ impl Service {
         {
             let text = format!("the {name} thread has ended by itself: stopping the car");
             error!("{text}");
-            self.manager.stopping(&text);
+            self.manager.status(STOPPING, &text);
         }
         match self.daemon.stop() {
             Ok(summary) => {

@@ -9,7 +9,7 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{ClockMapping, TickRecord, Topic};
 use tokio::sync::{Semaphore, broadcast};
 
-use crate::{messages::MessageFeed, socket::SetpointCounters, summary::Tally};
+use crate::{messages::MessageFeed, summary::Tally};
 
 /// Lines that a watcher may be behind before it misses some.
 const WATCH_CAPACITY: usize = 1_024;
@@ -65,8 +65,6 @@ pub(crate) struct SharedStatus {
     pub(crate) ticks: broadcast::Sender<Arc<TickRecord<0>>>,
     /// For each client that watches, one of [`WATCHERS`].
     pub(crate) watch_places: Semaphore,
-    /// The set-points of all clients.
-    pub(crate) setpoints: SetpointCounters,
 }
 
 impl SharedStatus {
@@ -78,7 +76,6 @@ impl SharedStatus {
             states: broadcast::Sender::new(STATE_CAPACITY),
             ticks: broadcast::Sender::new(TICK_CAPACITY),
             watch_places: Semaphore::new(WATCHERS),
-            setpoints: SetpointCounters::default(),
         }
     }
 

@@ -1,6 +1,5 @@
 //! The figures of a run: counts and times since the daemon started.
 
-use core::fmt;
 use std::path::PathBuf;
 
 use serde::Serialize;
@@ -129,76 +128,11 @@ pub struct Dropped {
     pub record_entries: u64,
 }
 
-impl fmt::Display for Frames {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            formatter,
-            "{} frames sent, {} received, {} damaged; {} drive commands written, {} withheld; \
-             {} telemetry records missing; link lost {}, port hung up {}, board restarted {}, \
-             requests unanswered {}",
-            self.sent,
-            self.received,
-            self.crc_errors.saturating_add(self.decode_errors),
-            self.drives_written,
-            self.drives_withheld,
-            self.telemetry_missing,
-            times(self.links_lost),
-            times(self.hang_ups),
-            times(self.board_restarts),
-            self.requests_unanswered,
-        )
-    }
-}
-
-impl fmt::Display for MocapFigures {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            formatter,
-            "{} frames received, {} lost, {} late, {} duplicate; poses: {} valid, {} untracked, \
-             {} absent, {} rejected; while driving: {} ticks without a new pose, {} frames without \
-             a pose; datagrams: {} malformed, {} from another address, {} contradict the others; stream stopped {}, session \
-             restarted {}",
-            self.frames,
-            self.lost,
-            self.late,
-            self.duplicates,
-            self.valid,
-            self.untracked,
-            self.absent,
-            self.rejected,
-            self.held_ticks,
-            self.missing_while_driving,
-            self.malformed,
-            self.wrong_source,
-            self.contradictions,
-            times(self.stale),
-            times(self.restarts),
-        )
-    }
-}
-
-impl fmt::Display for Dropped {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            formatter,
-            "{} events, {} observations, {} bytes from the serial line, {} reports, {} record \
-             entries",
-            self.events, self.observations, self.serial_bytes, self.reports, self.record_entries,
-        )
-    }
-}
-
-fn times(count: u64) -> String {
-    match count {
-        1 => "once".to_owned(),
-        count => format!("{count} times"),
-    }
-}
-
 /// Accumulates [`Figures`].
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tally {
-    figures: Figures,
+    /// Without percentiles.
+    pub(crate) figures: Figures,
     lateness: DurationHistogram,
     latency: DurationHistogram,
     duration: DurationHistogram,
@@ -268,15 +202,7 @@ impl Tally {
         };
     }
 
-    pub(crate) fn record_dropped(&mut self, entries: u64) {
-        self.figures.dropped.record_entries = entries;
-    }
-
-    pub(crate) fn dropped_inputs(&mut self, observations: u64, serial_bytes: u64) {
-        self.figures.dropped.observations = observations;
-        self.figures.dropped.serial_bytes = serial_bytes;
-    }
-
+    /// All figures so far.
     pub(crate) fn figures(&self) -> Figures {
         Figures {
             lateness_us: self.lateness.percentiles(),
@@ -284,33 +210,5 @@ impl Tally {
             tick_duration_us: self.duration.percentiles(),
             ..self.figures.clone()
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn figures_are_words_in_the_log() {
-        let frames = Frames {
-            sent: 12,
-            received: 34,
-            crc_errors: 2,
-            decode_errors: 1,
-            links_lost: 1,
-            ..Frames::default()
-        };
-        let text = frames.to_string();
-        assert!(
-            text.starts_with("12 frames sent, 34 received, 3 damaged;")
-                && text.contains("link lost once, port hung up 0 times"),
-            "{text}"
-        );
-        let dropped = Dropped {
-            serial_bytes: 7,
-            ..Dropped::default()
-        };
-        assert!(dropped.to_string().contains("7 bytes from the serial line"));
     }
 }

@@ -3,18 +3,10 @@
 
 use std::{
     any::Any,
-    io,
     thread::{self, JoinHandle},
 };
 
 use tracing::error;
-
-/// A thread of this name can't be started.
-#[derive(Debug)]
-pub(crate) struct NotStarted {
-    pub(crate) name: &'static str,
-    pub(crate) source: io::Error,
-}
 
 /// A running thread with its name.
 #[derive(Debug)]
@@ -27,9 +19,9 @@ impl<T: Send + 'static> NamedThread<T> {
     pub(crate) fn spawn(
         name: &'static str,
         body: impl FnOnce() -> T + Send + 'static,
-    ) -> Result<Self, NotStarted> {
+    ) -> Result<Self, String> {
         let spawned = thread::Builder::new().name(name.to_owned()).spawn(body);
-        let handle = spawned.map_err(|source| NotStarted { name, source })?;
+        let handle = spawned.map_err(|error| format!("can't start the {name} thread: {error}"))?;
         Ok(Self { name, handle })
     }
 }

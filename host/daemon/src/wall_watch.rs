@@ -3,24 +3,8 @@
 //! The daemon does not depend on the wall clock: a record maps its times to it once, at its
 //! start. The log line helps to compare a record with others.
 
-use core::fmt;
-
 /// The smallest step: the two clocks are read one after the other.
 const SMALLEST_STEP_NS: i64 = 100_000_000;
-
-/// A step of the wall clock, in ns; positive forward.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct WallStep(pub(crate) i64);
-
-impl fmt::Display for WallStep {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            formatter,
-            "the wall clock was set by {:+.3} s",
-            self.0 as f64 * 1e-9
-        )
-    }
-}
 
 /// Compares the wall clock with the monotonic one.
 #[derive(Clone, Copy, Debug, Default)]
@@ -32,9 +16,9 @@ pub(crate) struct WallWatch {
 }
 
 impl WallWatch {
-    /// Handles a reading of both clocks. Returns a step when two readings in a row show it:
-    /// the thread may be delayed between the clocks of one reading.
-    pub(crate) fn update(&mut self, monotonic_ns: u64, wall_ns: u64) -> Option<WallStep> {
+    /// Handles a reading of both clocks. Returns a step, in ns and positive forward, when two
+    /// readings in a row show it: the thread may be delayed between the clocks of one reading.
+    pub(crate) fn update(&mut self, monotonic_ns: u64, wall_ns: u64) -> Option<i64> {
         let difference_ns = wall_ns.wrapping_sub(monotonic_ns) as i64;
         let step_ns = difference_ns.wrapping_sub(*self.known_ns.get_or_insert(difference_ns));
         let differs = step_ns.unsigned_abs() >= SMALLEST_STEP_NS.unsigned_abs();
@@ -42,9 +26,15 @@ impl WallWatch {
         self.suspected = differs && !confirmed;
         confirmed.then(|| {
             self.known_ns = Some(difference_ns);
-            WallStep(step_ns)
+            step_ns
         })
     }
+}
+
+/// The line of the log for a step, in ns.
+pub(crate) fn describe(step_ns: i64) -> String {
+    let step_s = step_ns as f64 * 1e-9;
+    format!("the wall clock was set by {step_s:+.3} s; times in the record are not affected")
 }
 
 #[cfg(test)]
@@ -67,9 +57,9 @@ mod tests {
             let step = watch.update(monotonic, monotonic + (1_000_000 + hour) * SECOND_NS);
             reported.extend(step.map(|step| (reading, step)));
         }
-        let hour = WallStep(3_600 * SECOND_NS as i64);
-        assert_eq!(reported, [(21, hour), (41, WallStep(-hour.0))]);
-        assert_eq!(hour.to_string(), "the wall clock was set by +3600.000 s");
+        let hour_ns = 3_600 * SECOND_NS as i64;
+        assert_eq!(reported, [(21, hour_ns), (41, -hour_ns)]);
+        assert!(describe(hour_ns).starts_with("the wall clock was set by +3600.000 s"));
     }
 
     #[test]

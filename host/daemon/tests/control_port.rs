@@ -20,7 +20,7 @@ use std::{
 use serde_json::{Value, json};
 use singletrack_core::Config;
 use singletrack_pilot::Mode;
-use singletrackd::{Daemon, StartError, StartOptions};
+use singletrackd::{Daemon, StartOptions};
 use tempfile::TempDir;
 
 use crate::common;
@@ -264,8 +264,6 @@ fn a_port_that_is_taken_is_named_and_nothing_is_left() {
     let mut config = config(folder.path());
     config.socket.tcp_port = Some(port);
     let error = Daemon::start(config, StartOptions::default()).unwrap_err();
-    assert!(matches!(error, StartError::Socket(_)), "{error:?}");
-    let error = error.to_string();
     assert!(
         error.contains(&format!("socket.tcp_port is {port}: can't listen"))
             && error.contains("choose another port"),

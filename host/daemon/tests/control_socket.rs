@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use singletrack_api::{MessageStream, Received};
 use singletrack_core::{Config, config::ReferenceSection};
 use singletrack_pilot::Mode;
-use singletrackd::{Daemon, StartError, StartOptions};
+use singletrackd::{Daemon, StartOptions};
 use tempfile::TempDir;
 
 use crate::common;
@@ -266,8 +266,7 @@ fn two_daemons_do_not_share_a_socket() {
     let mut config = config(folder.path(), &path);
     config.record.enabled = false;
     let error = Daemon::start(config, StartOptions::default()).unwrap_err();
-    assert!(matches!(error, StartError::Socket(_)), "{error}");
-    assert!(error.to_string().contains("another singletrackd"));
+    assert!(error.contains("another singletrackd"), "{error}");
     assert!(path.exists());
     daemon.stop().unwrap();
 }

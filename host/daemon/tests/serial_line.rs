@@ -17,10 +17,7 @@ use singletrack_protocol::{
     ToBoard, ToHost, VERSION,
 };
 use singletrack_record::LinkPhase;
-use singletrackd::{
-    Daemon, StartOptions,
-    serial_port::{self, PortError},
-};
+use singletrackd::{Daemon, StartOptions, serial_port};
 
 use crate::common::wait_for;
 use crate::terminal::Terminal;
@@ -188,18 +185,21 @@ fn a_missing_port_is_opened_when_it_appears() {
 #[test]
 fn an_error_of_opening_says_what_to_do() {
     let missing = serial_port::open("/dev/no-such-port".as_ref(), 115_200).unwrap_err();
-    assert!(matches!(missing, PortError::NotFound(_)));
-    assert!(missing.to_string().contains("/dev/no-such-port"));
-    assert!(missing.to_string().contains("plug the board in"));
+    assert!(missing.contains("no such device"), "{missing}");
+    assert!(missing.contains("/dev/no-such-port"));
+    assert!(missing.contains("plug the board in"));
 
     let file = tempfile::NamedTempFile::new().unwrap();
     let no_port = serial_port::open(file.path(), 115_200).unwrap_err();
-    assert!(matches!(no_port, PortError::Other { .. }), "{no_port}");
+    assert!(
+        no_port.contains("is it the board's serial port"),
+        "{no_port}"
+    );
 
     let terminal = Terminal::open();
     let _first = serial_port::open(terminal.device(), 115_200).unwrap();
     let second = serial_port::open(terminal.device(), 115_200).unwrap_err();
-    assert!(matches!(second, PortError::Busy(_)), "{second}");
+    assert!(second.contains("in use by another program"), "{second}");
 }
 
 #[test]

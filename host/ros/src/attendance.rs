@@ -15,7 +15,6 @@ use futures::executor::block_on;
 use singletrack_api::{ClientError, HeldDrive, Reply, Request, ask};
 
 use crate::{
-    RunError,
     arguments::Arguments,
     message::TriggerResponse,
     node::{Node, start},
@@ -108,7 +107,6 @@ impl Attendance {
                 Err(error) => tracing::warn!("the drive has ended: {error}"),
             }
         })
-        .map_err(|error| error.to_string())
     }
 
     /// Slows the car down and stops it.
@@ -166,7 +164,7 @@ pub(crate) fn offer(
     node: &mut Node,
     arguments: &Arguments,
     attendance: &Attendance,
-) -> Result<(), RunError> {
+) -> Result<(), String> {
     if arguments.publish_only {
         return Ok(());
     }
@@ -180,7 +178,7 @@ fn serve(
     name: &'static str,
     attendance: &Attendance,
     obey: impl Fn(&Attendance) -> Result<(), String> + Send + 'static,
-) -> Result<(), RunError> {
+) -> Result<(), String> {
     let server = node.trigger(name)?;
     let attendance = attendance.clone();
     start(name, move || {

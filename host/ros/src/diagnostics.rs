@@ -3,10 +3,9 @@
 use std::{collections::BTreeMap, sync::Arc, thread, time::Duration};
 
 use crate::{
-    RunError,
     clocks::Now,
     message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time},
-    node::{Node, start as start_thread},
+    node::{Node, prompt, start as start_thread},
     tally::{Counts, Tally},
 };
 
@@ -16,8 +15,12 @@ const INTERVAL: Duration = Duration::from_secs(1);
 const OK: u8 = 0;
 const WARN: u8 = 1;
 
-pub(crate) fn start(node: &mut Node, tally: &Arc<Tally>) -> Result<(), RunError> {
-    let publisher = node.publisher("diagnostics", ("diagnostic_msgs", "DiagnosticArray"))?;
+pub(crate) fn start(node: &mut Node, tally: &Arc<Tally>) -> Result<(), String> {
+    let publisher = node.publisher(
+        "diagnostics",
+        ("diagnostic_msgs", "DiagnosticArray"),
+        prompt(),
+    )?;
     let tally = Arc::clone(tally);
     start_thread("diagnostics", move || {
         let mut before = 0;

@@ -10,15 +10,11 @@ use std::{
 };
 
 use futures::{StreamExt as _, executor::block_on};
-use ros2_client::{
-    Subscription,
-    qos::{Reliability, WhenFull},
-};
+use ros2_client::qos::{Reliability, WhenFull};
 use serde::de::DeserializeOwned;
 use singletrack_api::{Answer, ClientError, Code, Connection, Refused, Request, Setpoint};
 
 use crate::{
-    RunError,
     arguments::Arguments,
     attendance::Attendance,
     car::SharedCar,
@@ -45,15 +41,16 @@ pub(crate) fn start(
     car: &SharedCar,
     attendance: &Attendance,
     tally: &Arc<Tally>,
-) -> Result<(), RunError> {
+) -> Result<(), String> {
     if arguments.publish_only {
         return Ok(());
     }
-    let judge = || Judge {
-        max_age: arguments.max_age(),
-        frames: arguments.frames.clone(),
-    };
     let way = Arc::new(Way {
+        judge: Judge {
+            max_age: arguments.max_age(),
+            frames: arguments.frames.clone(),
+        },
+        car: car.clone(),
         socket: arguments.socket.clone(),
         connection: Mutex::new(None),
         sequence: AtomicU32::new(1),
@@ -61,41 +58,34 @@ pub(crate) fn start(
         tally: Arc::clone(tally),
     });
     let twist = ("geometry_msgs", "TwistStamped");
-    let velocities = node.subscription("point_velocity", twist, NEWEST)?;
-    let by = judge();
-    take(
-        &way,
-        "point_velocity",
-        velocities,
-        move |message, arrival| by.velocity(message, arrival),
-    )?;
-    let twists = node.subscription("cmd_vel", twist, NEWEST)?;
-    let (by, car, warnings) = (judge(), car.clone(), Arc::clone(tally));
-    take(&way, "cmd_vel", twists, move |message, arrival| {
-        ignored_of_twist(message).for_each(|text| warnings.warn_once(text));
-        by.twist(message, car.get(), arrival)
+    let topic = ("point_velocity", twist, NEWEST);
+    take(node, &way, topic, |way, message, arrival| {
+        way.judge.velocity(message, arrival)
     })?;
-    let ackermann = ("ackermann_msgs", "AckermannDriveStamped");
-    let drives = node.subscription("drive", ackermann, NEWEST)?;
-    let (by, warnings) = (judge(), Arc::clone(tally));
-    take(&way, "drive", drives, move |message, arrival| {
-        ignored_of_drive(message).for_each(|text| warnings.warn_once(text));
-        by.drive(message, arrival)
+    let topic = ("cmd_vel", twist, NEWEST);
+    take(node, &way, topic, |way, message, arrival| {
+        ignored_of_twist(message).for_each(|text| way.tally.warn_once(text));
+        way.judge.twist(message, way.car.get(), arrival)
     })?;
-    let paths = node.subscription("path", ("nav_msgs", "Path"), ONCE)?;
-    let by = judge();
-    take(&way, "path", paths, move |message, arrival| {
-        by.path(message, arrival)
+    let topic = ("drive", ("ackermann_msgs", "AckermannDriveStamped"), NEWEST);
+    take(node, &way, topic, |way, message, arrival| {
+        ignored_of_drive(message).for_each(|text| way.tally.warn_once(text));
+        way.judge.drive(message, arrival)
+    })?;
+    let topic = ("path", ("nav_msgs", "Path"), ONCE);
+    take(node, &way, topic, |way, message, arrival| {
+        way.judge.path(message, arrival)
     })
 }
 
-/// Passes the messages of a subscription on, on a thread of its own.
+/// Passes the messages of a topic on, on a thread of its own.
 fn take<M: DeserializeOwned + Send + 'static>(
+    node: &mut Node,
     way: &Arc<Way>,
-    name: &'static str,
-    subscription: Subscription<M>,
-    judge: impl Fn(&M, &Arrival) -> Result<Setpoint, Refused> + Send + 'static,
-) -> Result<(), RunError> {
+    (name, kind, reliability): (&'static str, (&str, &str), Reliability),
+    judge: fn(&Way, &M, &Arrival) -> Result<Setpoint, Refused>,
+) -> Result<(), String> {
+    let subscription = node.subscription(name, kind, reliability)?;
     let way = Arc::clone(way);
     start_thread(name, move || {
         let mut messages = Box::pin(subscription.async_stream());
@@ -107,7 +97,7 @@ fn take<M: DeserializeOwned + Send + 'static>(
                         now: Now::read(),
                         sent: sent.map(|sent| sent.to_nanos().into()),
                     };
-                    way.pass(name, judge(&message, &arrival));
+                    way.pass(name, judge(&way, &message, &arrival));
                 }
                 Err(error) => way.warn(&format!("{name}: {error}")),
             }
@@ -117,6 +107,8 @@ fn take<M: DeserializeOwned + Send + 'static>(
 
 /// The way to the daemon.
 struct Way {
+    judge: Judge,
+    car: SharedCar,
     socket: PathBuf,
     connection: Mutex<Option<Connection>>,
     /// The number of the next set-point.

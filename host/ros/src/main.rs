@@ -18,7 +18,7 @@ mod outgoing;
 mod setpoint;
 mod tally;
 
-use std::{io, process::ExitCode, sync::Arc};
+use std::{error::Error, io, process::ExitCode, sync::Arc};
 
 use arguments::Arguments;
 use clap::Parser as _;
@@ -27,26 +27,6 @@ use tracing_subscriber::{
     layer::SubscriberExt as _,
     util::SubscriberInitExt as _,
 };
-
-/// Why the program ends.
-#[derive(Debug, thiserror::Error)]
-enum RunError {
-    /// A name, domain or address can't be used.
-    #[error("{0}")]
-    Argument(String),
-    /// DDS does not start.
-    #[error("can't take part in the network of ROS: {0}")]
-    Network(String),
-    /// The sockets can't be closed to other computers.
-    #[error(
-        "can't close the sockets to other computers: {0}; give the addresses of its interfaces \
-         with --interface to open them"
-    )]
-    Loopback(io::Error),
-    /// A thread or the handler of signals does not start.
-    #[error("can't start: {0}")]
-    Start(#[from] io::Error),
-}
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -77,7 +57,7 @@ fn main() -> ExitCode {
 }
 
 /// Runs until a signal.
-fn run(arguments: &Arguments) -> Result<(), RunError> {
+fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .build()?;

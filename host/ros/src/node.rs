@@ -12,7 +12,6 @@ use rustdds::DomainParticipantBuilder;
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
-    RunError,
     arguments::Arguments,
     loopback,
     message::{TriggerRequest, TriggerResponse},
@@ -31,20 +30,23 @@ pub(crate) struct Node {
 }
 
 impl Node {
-    pub(crate) fn start(arguments: &Arguments) -> Result<Self, RunError> {
+    pub(crate) fn start(arguments: &Arguments) -> Result<Self, String> {
         let environment = std::env::var("ROS_DOMAIN_ID").ok();
-        let domain = arguments
-            .domain(environment.as_deref())
-            .map_err(RunError::Argument)?;
-        let name = NodeName::new(&arguments.namespace, NODE).map_err(|error| {
-            RunError::Argument(format!("--namespace {}: {error}", arguments.namespace))
-        })?;
+        let domain = arguments.domain(environment.as_deref())?;
+        let namespace = &arguments.namespace;
+        let name = NodeName::new(namespace, NODE)
+            .map_err(|error| format!("--namespace {namespace}: {error}"))?;
         let participant = DomainParticipantBuilder::new(domain)
             .with_only_networks(loopback::networks(&arguments.interface))
             .build()
             .map_err(network)?;
         if arguments.interface.is_empty() {
-            loopback::close_to_others().map_err(RunError::Loopback)?;
+            loopback::close_to_others().map_err(|error| {
+                format!(
+                    "can't close the sockets to other computers: {error}; give the addresses of \
+                     its interfaces with --interface to open them"
+                )
+            })?;
         } else {
             tracing::warn!(
                 interfaces = ?arguments.interface,
@@ -60,47 +62,17 @@ impl Node {
         let node = context.new_node(name, options).map_err(network)?;
         Ok(Self {
             node,
-            namespace: arguments.namespace.clone(),
+            namespace: namespace.clone(),
             domain,
         })
     }
 
-    /// A publisher that never waits: of a reliable subscriber that is too slow it keeps the
-    /// newest messages, and drops the oldest.
     pub(crate) fn publisher<M: Serialize>(
         &mut self,
         topic: &str,
         kind: (&str, &str),
-    ) -> Result<Publisher<M>, RunError> {
-        let when_full = WhenFull::Fail;
-        self.publisher_as(topic, kind, qos(Reliability::Reliable { when_full }, KEPT))
-    }
-
-    /// A publisher whose last message later subscribers get as well.
-    pub(crate) fn latched<M: Serialize>(
-        &mut self,
-        topic: &str,
-        kind: (&str, &str),
-    ) -> Result<Publisher<M>, RunError> {
-        let when_full = WhenFull::DEFAULT;
-        let volatile = qos(Reliability::Reliable { when_full }, 1);
-        let durability = Durability::TransientLocal;
-        self.publisher_as(
-            topic,
-            kind,
-            QosProfile {
-                durability,
-                ..volatile
-            },
-        )
-    }
-
-    fn publisher_as<M: Serialize>(
-        &mut self,
-        topic: &str,
-        kind: (&str, &str),
         qos: QosProfile,
-    ) -> Result<Publisher<M>, RunError> {
+    ) -> Result<Publisher<M>, String> {
         let topic = self.topic(topic, kind, &qos)?;
         self.node
             .create_publisher(&topic, Some(qos))
@@ -113,7 +85,7 @@ impl Node {
         topic: &str,
         kind: (&str, &str),
         reliability: Reliability,
-    ) -> Result<Subscription<M>, RunError> {
+    ) -> Result<Subscription<M>, String> {
         let qos = qos(reliability, 1);
         let topic = self.topic(topic, kind, &qos)?;
         self.node
@@ -124,7 +96,7 @@ impl Node {
     pub(crate) fn trigger(
         &mut self,
         service: &str,
-    ) -> Result<Server<TriggerRequest, TriggerResponse>, RunError> {
+    ) -> Result<Server<TriggerRequest, TriggerResponse>, String> {
         let when_full = WhenFull::DEFAULT;
         let qos = qos(Reliability::Reliable { when_full }, 10);
         let name = self.name(service)?;
@@ -140,7 +112,7 @@ impl Node {
     }
 
     /// Takes part in discovery, on a thread of its own.
-    pub(crate) fn spin(&mut self) -> Result<(), RunError> {
+    pub(crate) fn spin(&mut self) -> Result<(), String> {
         let spinner = self.node.spinner().map_err(network)?;
         start("discovery", move || {
             if let Err(error) = block_on(spinner.spin()) {
@@ -154,31 +126,47 @@ impl Node {
         topic: &str,
         (package, kind): (&str, &str),
         qos: &QosProfile,
-    ) -> Result<rustdds::Topic, RunError> {
+    ) -> Result<rustdds::Topic, String> {
         let name = self.name(topic)?;
         let kind = MessageTypeName::new(package, kind);
         self.node.create_topic(&name, kind, qos).map_err(network)
     }
 
-    fn name(&self, base: &str) -> Result<Name, RunError> {
+    fn name(&self, base: &str) -> Result<Name, String> {
         // One log for all nodes.
         let (namespace, base) = match base.strip_prefix('/') {
             Some(base) => ("/", base),
             None => (self.namespace.as_str(), base),
         };
-        Name::new(namespace, base)
-            .map_err(|error| RunError::Argument(format!("--namespace {namespace}: {error}")))
+        Name::new(namespace, base).map_err(|error| format!("--namespace {namespace}: {error}"))
     }
 }
 
 /// Starts a detached thread, which ends with the process.
-pub(crate) fn start(name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), RunError> {
+pub(crate) fn start(name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), String> {
     let started: io::Result<_> = thread::Builder::new().name(name.to_owned()).spawn(run);
-    started.map(drop).map_err(RunError::Start)
+    let started = started.map(drop);
+    started.map_err(|error| format!("can't start: {error}"))
 }
 
-fn network(error: impl core::fmt::Display) -> RunError {
-    RunError::Network(error.to_string())
+fn network(error: impl core::fmt::Display) -> String {
+    format!("can't take part in the network of ROS: {error}")
+}
+
+/// Of a publisher that never waits: of a reliable subscriber that is too slow it keeps the newest
+/// messages, and drops the oldest.
+pub(crate) fn prompt() -> QosProfile {
+    let when_full = WhenFull::Fail;
+    qos(Reliability::Reliable { when_full }, KEPT)
+}
+
+/// Of a publisher whose last message later subscribers get as well.
+pub(crate) fn latched() -> QosProfile {
+    let when_full = WhenFull::DEFAULT;
+    QosProfile {
+        durability: Durability::TransientLocal,
+        ..qos(Reliability::Reliable { when_full }, 1)
+    }
 }
 
 fn qos(reliability: Reliability, depth: usize) -> QosProfile {

@@ -6,13 +6,12 @@ use ros2_client::{Publisher, WriteError};
 use singletrack_api::{ClientError, Clocks, MessageStream, Received, Request, ask_within};
 
 use crate::{
-    RunError,
     arguments::Arguments,
     car::{Car, SharedCar},
     clocks::Now,
     frames::{Encoded, Frames},
     message::Text,
-    node::{Node, start as start_thread},
+    node::{Node, latched, prompt, start as start_thread},
     tally::Tally,
 };
 
@@ -54,16 +53,16 @@ pub(crate) fn start(
     arguments: &Arguments,
     car: &SharedCar,
     tally: &Arc<Tally>,
-) -> Result<(), RunError> {
+) -> Result<(), String> {
     let mut publishers = BTreeMap::new();
     for (channel, topic, kind) in TOPICS {
-        publishers.insert(channel, (kind.1, node.publisher(topic, kind)?));
+        publishers.insert(channel, (kind.1, node.publisher(topic, kind, prompt())?));
     }
     let outgoing = Outgoing {
         socket: arguments.socket.clone(),
         frames: arguments.frames.clone(),
         publishers,
-        description: node.latched("robot_description", ("std_msgs", "String"))?,
+        description: node.publisher("robot_description", ("std_msgs", "String"), latched())?,
         car: car.clone(),
         tally: Arc::clone(tally),
     };

@@ -16,14 +16,8 @@ const SOCKET_VARIABLE: &str = "SINGLETRACK_SOCKET";
 #[derive(Clone, Debug, Args)]
 pub struct ControlArgs {
     /// The daemon's control socket
-    #[arg(
-        long,
-        value_name = "PATH",
-        env = SOCKET_VARIABLE,
-        hide_env_values = true,
-        value_parser = socket_parser(),
-        default_value_os_t = SocketSection::default().path
-    )]
+    #[arg(long, value_name = "PATH", env = SOCKET_VARIABLE, hide_env_values = true)]
+    #[arg(value_parser = socket_parser(), default_value_os_t = SocketSection::default().path)]
     pub(crate) socket: PathBuf,
 }
 
@@ -31,13 +25,8 @@ pub struct ControlArgs {
 #[derive(Clone, Debug, Args)]
 pub struct ConfiguredSocket {
     /// The daemon's control socket [default: socket.path of --config]
-    #[arg(
-        long,
-        value_name = "PATH",
-        env = SOCKET_VARIABLE,
-        hide_env_values = true,
-        value_parser = socket_parser()
-    )]
+    #[arg(long, value_name = "PATH", env = SOCKET_VARIABLE, hide_env_values = true)]
+    #[arg(value_parser = socket_parser())]
     socket: Option<PathBuf>,
 }
 
@@ -89,6 +78,23 @@ pub fn parse_duration(text: &str) -> Result<Duration, String> {
     }
     let micros = parse_duration_us(text).map_err(|error| error.to_string())?;
     Ok(Duration::from_micros(micros))
+}
+
+/// A duration of at least `least_s` and at most `most_s` seconds.
+pub(crate) fn duration_within(text: &str, least_s: f64, most_s: f64) -> Result<Duration, String> {
+    let duration = parse_duration(text)?;
+    match (least_s..=most_s).contains(&duration.as_secs_f64()) {
+        true => Ok(duration),
+        false => Err(format!("give {least_s} to {most_s} s")),
+    }
+}
+
+/// A number that is neither infinite nor NaN.
+pub(crate) fn finite(text: &str) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        _ => Err("write a finite number, such as 0.5".to_owned()),
+    }
 }
 
 /// Whether it is an option that must have a value which is no name: not of a file, of a thing, or

@@ -7,49 +7,27 @@ use clap::{Arg, Command};
 /// The program.
 const PROGRAM: &str = "singletrack-lab";
 
-/// Names and purposes, for the list of all commands.
-pub const COMMANDS: [(&str, &str); 9] = [
-    (
-        "benchmark",
-        "Judge and identify the public logs of real cars, and predict those that are held out",
-    ),
-    (
-        "certify",
-        "Write the certificate of a configuration's safety filter: the room that a stop needs",
-    ),
-    (
-        "compare",
-        "Compare controllers on the simulated car: errors, intervals and stops",
-    ),
-    (
-        "completions",
-        "Print the completions of `singletrack` for a shell",
-    ),
-    (
-        "identify",
-        "Identify the car's parameters from recorded drives",
-    ),
-    (
-        "judge",
-        "Say what the pilot would have said of a recorded drive: stops, and errors of its estimate",
-    ),
-    (
-        "merge",
-        "Join the result files of a campaign's shards to the file that one process writes",
-    ),
-    (
-        "reproduce",
-        "Repeat the paper's experiments and analyses, and compare its claims with measured results",
-    ),
-    (
-        "stability",
-        "Compute where the steady motion is stable: eigenvalues, bifurcations, the sampled loop",
-    ),
-];
+/// The commands that it has, each with what it is for.
+const COMMANDS: &str = "\
+benchmark   Judge and identify the public logs of real cars, and predict those that are held out
+certify     Write the certificate of a configuration's safety filter: the room that a stop needs
+compare     Compare controllers on the simulated car: errors, intervals and stops
+completions Print the completions of `singletrack` for a shell
+identify    Identify the car's parameters from recorded drives
+judge       Say what the pilot would have said of a recorded drive: stops, and errors of its estimate
+merge       Join the result files of a campaign's shards to the file that one process writes
+reproduce   Repeat the paper's experiments and analyses, and compare its claims with measured results
+stability   Compute where the steady motion is stable: eigenvalues, bifurcations, the sampled loop";
+
+/// The commands, each with what it is for.
+pub fn commands() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let rows = COMMANDS.lines().filter_map(|row| row.split_once(' '));
+    rows.map(|(name, about)| (name, about.trim_start()))
+}
 
 /// Adds the commands to the list of all. What they take is their program's.
 pub fn listed(mut command: Command) -> Command {
-    for (name, about) in COMMANDS {
+    for (name, about) in commands() {
         let any = Arg::new("arguments")
             .num_args(0..)
             .trailing_var_arg(true)
@@ -68,8 +46,8 @@ pub fn listed(mut command: Command) -> Command {
 /// The program is not there.
 pub fn run() -> Result<(), String> {
     let arguments: Vec<OsString> = env::args_os().skip(1).collect();
-    let is_named = |(name, _): &(&str, &str)| arguments.first().is_some_and(|one| one == name);
-    if !COMMANDS.iter().any(is_named) {
+    let is_named = |(name, _): (&str, &str)| arguments.first().is_some_and(|one| one == name);
+    if !commands().any(is_named) {
         return Ok(());
     }
     let beside = env::current_exe().map(|own| own.with_file_name(PROGRAM));

@@ -55,9 +55,10 @@ enum Command {
         /// Write a record, as the daemon does: every tick's inputs and outputs.
         #[arg(long, value_name = "FILE.mcap")]
         record: Option<PathBuf>,
-        /// Print the result for programs (plant kind "car"); a drive that does not start is one, too.
-        #[arg(long, value_enum, value_name = "FORMAT", conflicts_with = "format")]
-        summary: Option<SummaryFormat>,
+        /// Print the result for programs (plant kind "car"), as one JSON object: tracking error, the
+        /// true ways, speeds and clearance, and why the drive ended, or did not start.
+        #[arg(long, value_name = "FORMAT", value_parser = ["json"], conflicts_with = "format")]
+        summary: Option<String>,
     },
     #[cfg(feature = "operator")]
     #[command(flatten)]
@@ -72,12 +73,6 @@ enum SimulateFormat {
     Csv,
     /// A number for the bits of all outputs (plant kind "car"), which the browser shows, too.
     Digest,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum SummaryFormat {
-    /// One JSON object: tracking error, the true ways, speeds and clearance, and why the drive ended.
-    Json,
 }
 
 /// Its options and commands, without those of the laboratory.
@@ -163,7 +158,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
             }
             let mut text = Vec::new();
             match (summary, format) {
-                (Some(SummaryFormat::Json), _) => {
+                (Some(_), _) => {
                     serde_json::to_writer(&mut text, &simulation.summary)?;
                     text.push(b'\n');
                 }

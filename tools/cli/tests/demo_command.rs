@@ -119,8 +119,8 @@ fn a_demo_in_a_pipe_prints_its_summary_and_leaves_what_it_promises() {
         ("/mocap/frames", 300.0),
         ("/mocap/lost", 0.0),
         ("/mocap/held_ticks", 0.0),
-        ("/latency_ms/capture_to_command/p50", 8.0),
-        ("/latency_ms/capture_to_command/p99", 8.0),
+        ("/capture_to_command_us/p50", 8_000.0),
+        ("/capture_to_command_us/p99", 8_000.0),
     ] {
         let value = summary.pointer(pointer).and_then(serde_json::Value::as_f64);
         assert!(

@@ -1,4 +1,5 @@
-//! The daemon as a viewer sees it: every wait is bounded, and a lost daemon is found again.
+//! The threads of a viewer: what follows the daemon, whose every wait is bounded and which finds a
+//! lost daemon again, and what serves.
 
 use std::{
     io,
@@ -6,11 +7,12 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    thread,
+    thread::{self, JoinHandle},
     time::Duration,
 };
 
 use singletrack_api::ClientError;
+use tokio::sync::Notify;
 
 /// The longest wait for an answer, and for the next line of a stream.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(2);
@@ -78,5 +80,39 @@ impl Follower {
             .name("daemon".to_owned())
             .spawn(body)?;
         Ok(Self(stop))
+    }
+}
+
+/// A thread that serves until this value is dropped.
+#[derive(Debug)]
+pub(crate) struct ServerThread {
+    stop: Arc<Notify>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl ServerThread {
+    pub(crate) fn start(
+        name: &str,
+        serve: impl FnOnce(&Notify) + Send + 'static,
+    ) -> io::Result<Self> {
+        let stop = Arc::new(Notify::new());
+        let asked = Arc::clone(&stop);
+        let thread = thread::Builder::new().name(name.to_owned());
+        Ok(Self {
+            stop,
+            thread: Some(thread.spawn(move || serve(&asked))?),
+        })
+    }
+}
+
+impl Drop for ServerThread {
+    fn drop(&mut self) {
+        self.stop.notify_one();
+        if let Some(thread) = self.thread.take() {
+            let name = thread.thread().name().unwrap_or_default().to_owned();
+            if thread.join().is_err() {
+                tracing::error!("the thread of the {name} view has panicked");
+            }
+        }
     }
 }

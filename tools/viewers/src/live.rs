@@ -7,14 +7,12 @@
 //! dropped.
 
 use std::{
-    io,
     net::{IpAddr, SocketAddr},
     path::{Path, PathBuf},
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
-    thread::{self, JoinHandle},
     time::Duration,
 };
 
@@ -31,7 +29,7 @@ use tokio::{
     time::timeout,
 };
 
-use crate::daemon::{Follower, PATIENCE};
+use crate::daemon::{Follower, PATIENCE, ServerThread};
 
 /// Messages that may wait for a viewer beyond the kernel's queue: older ones are out of
 /// date.
@@ -46,44 +44,12 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(50);
 /// The name of the message about a lost daemon.
 const LOST: &str = "daemon";
 
-/// Why the live view does not start.
-#[derive(Debug, thiserror::Error)]
-pub enum LiveError {
-    /// The address can be reached from other computers.
-    #[error(
-        "{0} is not an address of loopback: the live view has no authentication; leave live.address \
-         and --address at 127.0.0.1, and forward the port with `ssh -L`"
-    )]
-    NotLoopback(IpAddr),
-    /// Another program listens on the address, or listening is not permitted.
-    #[error(
-        "can't listen on {address} for the live view: {source}; choose another live.address or \
-         live.port, or give --port"
-    )]
-    Listen {
-        /// The configured address.
-        address: SocketAddr,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// The server or a thread does not start.
-    #[error("the live view does not start: {0}")]
-    Server(#[from] FoxgloveError),
-}
-
-impl From<io::Error> for LiveError {
-    fn from(error: io::Error) -> Self {
-        Self::Server(error.into())
-    }
-}
-
 /// A live view. It ends when this value is dropped.
 #[derive(Debug)]
 pub struct Live {
     /// The address that it listens on, with the port in use.
     pub address: SocketAddr,
-    stop: Arc<Notify>,
-    thread: Option<JoinHandle<()>>,
+    _server: ServerThread,
     _follower: Follower,
 }
 
@@ -101,28 +67,36 @@ impl Live {
     /// # Errors
     ///
     /// The address can't be listened on, or a thread does not start.
-    pub fn start(socket: PathBuf, section: LiveSection) -> Result<Self, LiveError> {
+    pub fn start(socket: PathBuf, section: LiveSection) -> Result<Self, String> {
         let address = SocketAddr::new(section.address, section.port);
         if !address.ip().is_loopback() {
-            return Err(LiveError::NotLoopback(address.ip()));
+            return Err(format!(
+                "{} is not an address of loopback: the live view has no authentication; leave \
+                 live.address and --address at 127.0.0.1, and forward the port with `ssh -L`",
+                address.ip()
+            ));
         }
+        Self::listen(address, socket).map_err(|error| match error {
+            FoxgloveError::Bind(error) => format!(
+                "can't listen on {address} for the live view: {error}; choose another \
+                 live.address or live.port, or give --port"
+            ),
+            error => format!("the live view does not start: {error}"),
+        })
+    }
+
+    fn listen(address: SocketAddr, socket: PathBuf) -> Result<Self, FoxgloveError> {
         let runtime = runtime::Builder::new_current_thread()
             .enable_io()
             .enable_time()
             .build()?;
         let publisher = Publisher::new()?;
-        let handle = runtime
-            .block_on(listen(address, &publisher.context))
-            .map_err(|error| match error {
-                FoxgloveError::Bind(source) => LiveError::Listen { address, source },
-                other => LiveError::Server(other),
-            })?;
+        let handle = runtime.block_on(listen(address, &publisher.context))?;
         let address = SocketAddr::new(address.ip(), handle.port());
         let shared = Arc::new(Shared::default());
-        let stop = Arc::new(Notify::new());
-        let thread = thread::Builder::new().name("live".to_owned()).spawn({
-            let (shared, stop) = (Arc::clone(&shared), Arc::clone(&stop));
-            move || serve(&runtime, handle, &shared, &stop)
+        let served = Arc::clone(&shared);
+        let server = ServerThread::start("live", move |stop| {
+            serve(&runtime, handle, &served, stop);
         })?;
         let (watched, followed, lost) = (Arc::clone(&shared), Arc::clone(&shared), shared);
         let follower = Follower::start(
@@ -132,21 +106,9 @@ impl Live {
         )?;
         Ok(Self {
             address,
-            stop,
-            thread: Some(thread),
+            _server: server,
             _follower: follower,
         })
-    }
-}
-
-impl Drop for Live {
-    fn drop(&mut self) {
-        self.stop.notify_one();
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the live view's thread has panicked");
-        }
     }
 }
 
@@ -211,13 +173,7 @@ impl Publisher {
 
 /// Passes the daemon's messages on for as long as there are viewers.
 fn follow(socket: &Path, publisher: &Publisher, shared: &Shared) -> Result<(), ClientError> {
-    let in_time = |error| match error {
-        ClientError::BrokeOff(error) if error.kind() == io::ErrorKind::WouldBlock => {
-            ClientError::silent(socket, PATIENCE)
-        }
-        error => error,
-    };
-    let mut stream = MessageStream::open(socket, &[], PATIENCE).map_err(in_time)?;
+    let mut stream = MessageStream::open(socket, &[], PATIENCE)?;
     shared.set_lost(None);
     let clocks = stream.clocks;
     let clocks = ClockMapping {
@@ -227,7 +183,7 @@ fn follow(socket: &Path, publisher: &Publisher, shared: &Shared) -> Result<(), C
     let mut log_time_ns = clocks.wall_ns;
     while shared.is_watched.load(Ordering::Relaxed) {
         // What was missed is not shown.
-        if let Received::Message(message) = stream.receive().map_err(in_time)? {
+        if let Received::Message(message) = stream.receive()? {
             publisher.publish(message, clocks, &mut log_time_ns);
         }
     }

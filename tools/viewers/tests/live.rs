@@ -10,7 +10,7 @@ use std::{
 use serde_json::{Value, json};
 use singletrack_core::config::LiveSection;
 use singletrack_pilot::Mode;
-use singletrack_viewers::live::{Live, LiveError};
+use singletrack_viewers::live::Live;
 use singletrackd::{Daemon, StartOptions};
 use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;
@@ -245,10 +245,12 @@ fn a_port_in_use_is_named() {
         ..LiveSection::default()
     };
     let error = Live::start("/nowhere.sock".into(), section).unwrap_err();
-    assert!(matches!(error, LiveError::Listen { .. }), "{error}");
-    let text = error.to_string();
-    for part in [&taken.local_addr().unwrap().to_string(), "live.port"] {
-        assert!(text.contains(part), "{text}");
+    for part in [
+        "can't listen",
+        &taken.local_addr().unwrap().to_string(),
+        "live.port",
+    ] {
+        assert!(error.contains(part), "{error}");
     }
 }
 
@@ -259,9 +261,8 @@ fn an_address_that_other_computers_reach_is_refused() {
         ..LiveSection::default()
     };
     let error = Live::start("/nowhere.sock".into(), section).unwrap_err();
-    let text = error.to_string();
     for part in ["0.0.0.0", "live.address", "ssh -L"] {
-        assert!(text.contains(part), "{text}");
+        assert!(error.contains(part), "{error}");
     }
 }
 

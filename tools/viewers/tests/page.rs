@@ -15,7 +15,7 @@ use std::{
 
 use serde_json::{Value, json};
 use singletrack_core::{Config, config::PageSection};
-use singletrack_viewers::page::{OtherCar, Page, PageError};
+use singletrack_viewers::page::{OtherCar, Page};
 use singletrackd::{Daemon, StartOptions};
 use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;
@@ -443,9 +443,8 @@ fn a_page_that_cannot_be_served_is_refused_with_what_to_change() {
     let refused = |section: PageSection, parts: &[&str]| {
         let error =
             Page::start(folder.path().join("control.sock"), Vec::new(), &section).unwrap_err();
-        let text = error.to_string();
         for part in parts {
-            assert!(text.contains(part), "{text}");
+            assert!(error.contains(part), "{error}");
         }
         error
     };
@@ -471,7 +470,7 @@ fn a_page_that_cannot_be_served_is_refused_with_what_to_change() {
         },
         &["page.address", "0.0.0.0", "page.token_file"],
     );
-    assert!(matches!(error, PageError::Config(_)));
+    assert!(!error.contains("can't listen"), "{error}");
 }
 
 #[test]

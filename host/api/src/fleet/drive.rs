@@ -228,7 +228,7 @@ impl Fleet {
 impl Held {
     /// A lost connection ends the drive.
     fn send(&mut self, request: &Request) {
-        if let Err(error) = self.drive.send(request) {
+        if let Err(error) = self.drive.connection.send(request) {
             self.lose(&error.to_string());
         }
     }
@@ -254,7 +254,7 @@ impl Held {
 
     /// Takes what the daemon has said.
     fn listen(&mut self) {
-        let received = self.drive.received_within(WAIT);
+        let received = self.drive.connection.receive_within(WAIT);
         if matches!(received, Ok(Some(_))) {
             self.heard = Some(Instant::now());
         } else if self.heard.is_some_and(|heard| heard.elapsed() > HOLD) {

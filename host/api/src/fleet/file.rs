@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeSet,
-    fs, io,
+    fs,
     path::{Path, PathBuf},
 };
 
@@ -33,47 +33,10 @@ pub struct FleetCar {
     pub router: Option<String>,
 }
 
-/// Why there is no fleet.
+/// Why a fleet's file can't be taken, and what to write.
 #[derive(Debug, thiserror::Error)]
-pub enum FleetFileError {
-    /// The file can't be read.
-    #[error("can't read the fleet {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// It is not TOML, or has other keys.
-    #[error("{}: {message}: write a table [[car]] for each, with name = \"car1\"", path.display())]
-    Parse {
-        /// The file.
-        path: PathBuf,
-        /// Where and why.
-        message: String,
-    },
-    /// A name can't be one.
-    #[error(
-        "{}: car.name is {name:?}: it must be of letters, digits, - and _, as it names a service",
-        path.display()
-    )]
-    Name {
-        /// The file.
-        path: PathBuf,
-        /// The name.
-        name: String,
-    },
-    /// Two cars have one name, socket, number or body.
-    #[error("{}: two cars have the {what} {value}: give each one of its own", path.display())]
-    Twice {
-        /// The file.
-        path: PathBuf,
-        /// `name`, `socket`, `number` or `body`.
-        what: &'static str,
-        /// Its value.
-        value: String,
-    },
-}
+#[error("{0}")]
+pub struct FleetFileError(String);
 
 impl FleetCar {
     /// The control socket of its daemon.
@@ -90,33 +53,32 @@ impl Fleet {
     ///
     /// There is none, or it does not name cars that differ.
     pub fn read(path: &Path) -> Result<Self, FleetFileError> {
-        let text = fs::read_to_string(path).map_err(|source| FleetFileError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        Self::parse(path, &text)
+        let name = path.display();
+        let text = fs::read_to_string(path)
+            .map_err(|error| FleetFileError(format!("can't read the fleet {name}: {error}")))?;
+        Self::parse(&text).map_err(|error| FleetFileError(format!("{name}: {error}")))
     }
 
-    fn parse(path: &Path, text: &str) -> Result<Self, FleetFileError> {
+    fn parse(text: &str) -> Result<Self, String> {
         #[derive(Deserialize)]
         #[serde(deny_unknown_fields)]
         struct File {
             car: Vec<FleetCar>,
         }
-        let path = path.to_owned();
-        let File { car: cars } = match toml::from_str(text) {
-            Ok(file) => file,
-            Err(error) => {
-                let message = error.to_string().trim_end().to_owned();
-                return Err(FleetFileError::Parse { path, message });
-            }
-        };
+        let File { car: cars } = toml::from_str(text).map_err(|error| {
+            let message = error.to_string();
+            let message = message.trim_end();
+            format!("{message}: write a table [[car]] for each, with name = \"car1\"")
+        })?;
         let mut taken = BTreeSet::new();
         for car in &cars {
             let name = car.name.clone();
             let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
             if name.is_empty() || !name.chars().all(is_allowed) {
-                return Err(FleetFileError::Name { path, name });
+                return Err(format!(
+                    "car.name is {name:?}: it must be of letters, digits, - and _, as it names a \
+                     service"
+                ));
             }
             let socket = car.socket().display().to_string();
             let number = car.number.map(|number| ("number", number.to_string()));
@@ -124,7 +86,9 @@ impl Fleet {
             let named = [("name", name), ("socket", socket)];
             for (what, value) in named.into_iter().chain(number).chain(body) {
                 if !taken.insert((what, value.clone())) {
-                    return Err(FleetFileError::Twice { path, what, value });
+                    return Err(format!(
+                        "two cars have the {what} {value}: give each one of its own"
+                    ));
                 }
             }
         }
@@ -137,16 +101,18 @@ impl Fleet {
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<Fleet, String> {
-        Fleet::parse(Path::new("fleet.toml"), text).map_err(|error| error.to_string())
+    fn read(text: &str) -> Result<Fleet, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("fleet.toml");
+        fs::write(&path, text).unwrap();
+        Fleet::read(&path).map_err(|error| error.to_string())
     }
 
     #[test]
     fn a_car_has_the_socket_of_its_service_or_another_one() {
-        let fleet = parse(
-            "[[car]]\nname = \"car1\"\n[[car]]\nname = \"two\"\nsocket = \"/tmp/two.sock\"\n",
-        )
-        .unwrap();
+        let fleet =
+            read("[[car]]\nname = \"car1\"\n[[car]]\nname = \"two\"\nsocket = \"/tmp/two.sock\"\n")
+                .unwrap();
         let sockets: Vec<_> = fleet.cars.iter().map(FleetCar::socket).collect();
         let expected = ["/run/singletrackd-car1/control.sock", "/tmp/two.sock"];
         assert_eq!(sockets, expected.map(PathBuf::from));
@@ -175,9 +141,9 @@ mod tests {
                 "two cars have the socket /s",
             ),
         ] {
-            let error = parse(text).unwrap_err();
+            let error = read(text).unwrap_err();
             assert!(
-                error.starts_with("fleet.toml: ") && error.contains(named),
+                error.contains("fleet.toml: ") && error.contains(named),
                 "{error}"
             );
         }

@@ -81,13 +81,14 @@ pub(super) fn clocks() -> Answer {
 
 /// The configuration in force.
 pub(super) fn configuration(daemon: &DaemonHandle) -> Answer {
-    match daemon.reconfigurer.text() {
-        (number, Some(toml)) => Answer {
-            configuration: Some(number),
-            toml: Some(toml.to_string()),
+    let published = daemon.reconfigurer.published();
+    match &published.toml {
+        Some(toml) => Answer {
+            configuration: Some(published.view.number),
+            toml: Some(toml.clone()),
             ..Answer::done()
         },
-        (_, None) => Answer::failure(Code::File, "the configuration has a path that is not UTF-8"),
+        None => Answer::failure(Code::File, "the configuration has a path that is not UTF-8"),
     }
 }
 
@@ -199,7 +200,7 @@ pub(super) async fn tune(tuning: Tuning, daemon: &DaemonHandle) -> Answer {
 async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, Refused> {
     let latest = daemon.status.latest().tick.clone();
     let before = latest.and_then(|tick| tick.output.tuned);
-    let rule = daemon.reconfigurer.tuning_rule();
+    let rule = daemon.reconfigurer.published().config.tuning_rule();
     rule.check(&tuning, before.as_ref())
         .map_err(|error| Refused::new(Code::OutOfRange, error))?;
     let mut ticks = daemon.status.ticks.subscribe();

@@ -65,12 +65,9 @@ pub(super) async fn begin(
         ..
     } = request;
     ready(daemon)?;
-    let judging = daemon.drives.judging().try_lock_owned().map_err(|_| {
-        Refused::new(
-            Code::OtherClient,
-            "can't arm: the request of another client is being judged",
-        )
-    })?;
+    let judging = daemon.drives.judging().try_lock_owned();
+    let why = "the request of another client is being judged";
+    let judging = judging.map_err(|_| cannot(Code::OtherClient, why))?;
     let stops = daemon.drives.stops();
     let judged = daemon.clone();
     let longest = match attendance {
@@ -84,7 +81,7 @@ pub(super) async fn begin(
         let snapshot = judged.snapshot();
         let stand = stand(&snapshot);
         let tuned = snapshot.output().and_then(|output| output.tuned);
-        let refused = |code| move |why| Refused::new(code, format_args!("can't arm: {why}"));
+        let refused = |code| move |why: String| cannot(code, &why);
         let refusal = (!uncalibrated)
             .then(|| judged.commissioned.refusal(&config))
             .flatten()
@@ -108,23 +105,17 @@ pub(super) async fn begin(
     }
     // From here to the request nothing is waited for: no other client comes between.
     if daemon.drives.stops() != stops {
-        return Err(Refused::new(
-            Code::Superseded,
-            "can't arm: a disarm or a stop has come meanwhile",
-        ));
+        let why = "a disarm or a stop has come meanwhile";
+        return Err(cannot(Code::Superseded, why));
     }
-    if daemon.reconfigurer.view().number != number {
-        return Err(Refused::new(
-            Code::Superseded,
-            "can't arm: the configuration has changed meanwhile; arm again",
-        ));
+    if daemon.reconfigurer.published().view.number != number {
+        let why = "the configuration has changed meanwhile; arm again";
+        return Err(cannot(Code::Superseded, why));
     }
     ready(daemon)?;
     if start_ns.is_some_and(|start_ns| start_ns <= monotonic_ns()) {
-        return Err(Refused::new(
-            Code::Superseded,
-            "can't arm: start_ns has passed meanwhile; give a later one",
-        ));
+        let why = "start_ns has passed meanwhile; give a later one";
+        return Err(cannot(Code::Superseded, why));
     }
     let ticket = daemon.drives.next();
     let request = match (attendance, start_ns) {
@@ -140,6 +131,11 @@ pub(super) async fn begin(
     Ok((ticket, DriveWatch::new(daemon)))
 }
 
+/// Why the car is not armed.
+fn cannot(code: Code, why: &str) -> Refused {
+    Refused::new(code, format_args!("can't arm: {why}"))
+}
+
 /// Checks that the pilot can be armed now, and that no other client has just asked for it.
 fn ready(daemon: &DaemonHandle) -> Result<(), Refused> {
     let snapshot = daemon.snapshot();
@@ -152,10 +148,7 @@ fn ready(daemon: &DaemonHandle) -> Result<(), Refused> {
 /// Checks that no other client has just asked to arm.
 fn alone(daemon: &DaemonHandle, snapshot: &Snapshot) -> Result<(), Refused> {
     if daemon.drives.is_open(snapshot) {
-        return Err(Refused::new(
-            Code::OtherClient,
-            "can't arm: another client has just armed",
-        ));
+        return Err(cannot(Code::OtherClient, "another client has just armed"));
     }
     Ok(())
 }

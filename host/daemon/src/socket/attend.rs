@@ -170,30 +170,25 @@ async fn serve_drive(
             }
             continue;
         }
-        match Command::parse(&line, monotonic_ns()) {
+        let answer = match Command::parse(&line, monotonic_ns()) {
             Ok(Command::Hold) => {
-                if renewed.is_none_or(|renewed| renewed.elapsed() >= LEAST_RENEWAL) {
+                let is_due = renewed.is_none_or(|renewed| renewed.elapsed() >= LEAST_RENEWAL);
+                let pushed = is_due.then(|| {
                     renewed = Some(Instant::now());
-                    if let Err(refused) = drive.ticket.push(daemon, PilotRequest::Hold) {
-                        send(write, &Answer::refusal(refused)).await?;
-                    }
-                }
+                    drive.ticket.push(daemon, PilotRequest::Hold)
+                });
+                pushed.and_then(Result::err).map(Answer::refusal)
             }
             Ok(Command::Jog(pulses)) if drive.jogs => {
                 if drive.ticket.is_latest() {
                     daemon.jogs.send(pulses);
                 }
+                None
             }
-            Ok(Command::Status) => send(write, &status(daemon)).await?,
-            Ok(Command::End(request)) => send(write, &end(request, daemon)).await?,
-            Ok(Command::Tune(tuning)) if !drive.jogs => {
-                send(write, &tune(tuning, daemon).await).await?;
-            }
-            Ok(Command::Setpoint(setpoint)) if !drive.jogs => {
-                if let Some(answer) = setpoints.pass(daemon, &setpoint) {
-                    send(write, &answer).await?;
-                }
-            }
+            Ok(Command::Status) => Some(status(daemon)),
+            Ok(Command::End(request)) => Some(end(request, daemon)),
+            Ok(Command::Tune(tuning)) if !drive.jogs => Some(tune(tuning, daemon).await),
+            Ok(Command::Setpoint(setpoint)) if !drive.jogs => setpoints.pass(daemon, &setpoint),
             Ok(_) => {
                 let error = if drive.jogs {
                     "this connection jogs: it takes jog, hold, status, disarm and stop"
@@ -201,9 +196,12 @@ async fn serve_drive(
                     "this connection holds a drive: it takes hold, status, disarm, stop, \
                      setpoint and tune"
                 };
-                send(write, &Answer::failure(Code::Occupied, error)).await?;
+                Some(Answer::failure(Code::Occupied, error))
             }
-            Err(error) => send(write, &no_command(daemon, &error)).await?,
+            Err(error) => Some(no_command(daemon, &error)),
+        };
+        if let Some(answer) = answer {
+            send(write, &answer).await?;
         }
         line.clear();
         yield_now().await;

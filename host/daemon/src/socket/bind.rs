@@ -17,55 +17,9 @@ use super::tcp::BoundPort;
 /// Owner and group may connect.
 const PERMISSIONS: u32 = 0o660;
 
-/// Why the control socket can't be created, and what to do about it.
-#[derive(Debug, thiserror::Error)]
-pub enum SocketError {
-    /// Another daemon listens on the path.
-    #[error("{}: another singletrackd listens there; stop it, or choose another socket.path", .0.display())]
-    InUse(PathBuf),
-    /// The path is not a socket.
-    #[error("{}: this file is not a socket; remove it, or choose another socket.path", .0.display())]
-    Occupied(PathBuf),
-    /// The folder can't be created.
-    #[error(
-        "can't create {}, the folder of socket.path: {source}; choose a socket.path in a folder that you \
-         may write to, such as one in $XDG_RUNTIME_DIR, or set socket.enabled = false",
-        path.display()
-    )]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// Another system call failed.
-    #[error(
-        "{}: can't {action}: {source}; choose a socket.path in a folder that you may write to, such as \
-         one in $XDG_RUNTIME_DIR, or set socket.enabled = false",
-        path.display()
-    )]
-    Io {
-        /// The failed action.
-        action: &'static str,
-        /// The path.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// The port can't be used.
-    #[error(
-        "socket.tcp_port is {port}: can't {action}: {source}; choose another port, or remove \
-         socket.tcp_port"
-    )]
-    Port {
-        /// The failed action.
-        action: &'static str,
-        /// The configured port.
-        port: u16,
-        /// The system's error.
-        source: io::Error,
-    },
-}
+/// What to do about a path that can't be used.
+const FIX: &str = "choose a socket.path in a folder that you may write to, such as one in \
+                   $XDG_RUNTIME_DIR, or set socket.enabled = false";
 
 /// A listening socket and its file, and the port on which it listens too, if any.
 #[derive(Debug)]
@@ -88,43 +42,46 @@ impl Drop for SocketFile {
 
 impl BoundSocket {
     /// Listens on the socket of the configuration, and on its port if there is one.
-    pub(crate) fn open(config: &SocketSection) -> Result<Self, SocketError> {
+    pub(crate) fn open(config: &SocketSection) -> Result<Self, String> {
         // The socket first: its path belongs to one daemon, and so does the file of the token.
         let mut socket = Self::bind(&config.path)?;
         if let Some(port) = config.tcp_port {
-            let bound = BoundPort::bind(port, &config.path);
-            socket.port = Some(bound.map_err(|(action, source)| SocketError::Port {
-                action,
-                port,
-                source,
-            })?);
+            let bound = BoundPort::bind(port, &config.path).map_err(|error| {
+                format!(
+                    "socket.tcp_port is {port}: {error}; choose another port, or remove \
+                     socket.tcp_port"
+                )
+            });
+            socket.port = Some(bound?);
         }
         Ok(socket)
     }
 
     /// Listens on `path`. Creates its folder if necessary, and replaces the socket that a
     /// killed daemon left.
-    fn bind(path: &Path) -> Result<Self, SocketError> {
-        let failure = |action| {
-            move |source| SocketError::Io {
-                action,
-                path: path.to_owned(),
-                source,
-            }
+    fn bind(path: &Path) -> Result<Self, String> {
+        let name = &path.display();
+        let failure = |action: &'static str| {
+            move |error: io::Error| format!("{name}: can't {action}: {error}; {FIX}")
         };
         if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).map_err(|source| SocketError::Folder {
-                path: folder.to_owned(),
-                source,
+            fs::create_dir_all(folder).map_err(|error| {
+                let folder = folder.display();
+                format!("can't create {folder}, the folder of socket.path: {error}; {FIX}")
             })?;
         }
         match fs::symlink_metadata(path) {
             Ok(metadata) => {
                 if !metadata.file_type().is_socket() {
-                    return Err(SocketError::Occupied(path.to_owned()));
+                    return Err(format!(
+                        "{name}: this file is not a socket; remove it, or choose another socket.path"
+                    ));
                 }
                 if has_listener(path).map_err(failure("check who listens"))? {
-                    return Err(SocketError::InUse(path.to_owned()));
+                    return Err(format!(
+                        "{name}: another singletrackd listens there; stop it, or choose another \
+                         socket.path"
+                    ));
                 }
                 fs::remove_file(path).map_err(failure("remove the old socket"))?;
             }
@@ -175,9 +132,7 @@ mod tests {
         drop(socket);
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
-        let error = BoundSocket::bind(&file.join("sub/control.sock"))
-            .unwrap_err()
-            .to_string();
+        let error = BoundSocket::bind(&file.join("sub/control.sock")).unwrap_err();
         assert!(
             error.contains("file/sub, the folder of socket.path")
                 && error.contains("XDG_RUNTIME_DIR"),
@@ -194,17 +149,13 @@ mod tests {
         let socket = BoundSocket::bind(&path).unwrap();
         let mode = fs::metadata(&path).unwrap().permissions().mode();
         assert_eq!(mode & 0o777, PERMISSIONS);
-        assert!(matches!(
-            BoundSocket::bind(&path),
-            Err(SocketError::InUse(_))
-        ));
+        let error = BoundSocket::bind(&path).unwrap_err();
+        assert!(error.contains("another singletrackd listens"), "{error}");
         drop(socket);
         assert!(!path.exists());
         fs::write(&path, "precious").unwrap();
-        assert!(matches!(
-            BoundSocket::bind(&path),
-            Err(SocketError::Occupied(_))
-        ));
+        let error = BoundSocket::bind(&path).unwrap_err();
+        assert!(error.contains("not a socket"), "{error}");
         assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
     }
 
@@ -217,9 +168,7 @@ mod tests {
         stopped.listen(0).unwrap();
         // The queue holds one client.
         let _waiting = UnixStream::connect(&path).unwrap();
-        assert!(matches!(
-            BoundSocket::bind(&path),
-            Err(SocketError::InUse(_))
-        ));
+        let error = BoundSocket::bind(&path).unwrap_err();
+        assert!(error.contains("another singletrackd listens"), "{error}");
     }
 }

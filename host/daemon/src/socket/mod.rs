@@ -24,9 +24,8 @@ mod tests;
 mod thread;
 
 pub(crate) use bind::BoundSocket;
-pub use bind::SocketError;
 pub use command::{Arm, Attendance, Command, ParseError};
 pub(crate) use drives::Drives;
 pub use setpoint::SetpointFigures;
-pub(crate) use setpoint::{SetpointCounters, SetpointSource};
+pub(crate) use setpoint::SetpointSource;
 pub(crate) use thread::SocketThread;

@@ -96,83 +96,68 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             Ok(Command::Watch { .. } | Command::Messages { .. } | Command::WatchState)
         );
         let place = watches.then(|| daemon.status.watch_places.try_acquire());
-        if let Some(Err(_)) = place {
-            let error = format!("{WATCHERS} clients watch; close one: the others may command");
-            send(&mut client.write, &Answer::failure(Code::Busy, error)).await?;
-            continue;
-        }
-        match command {
+        let Client { read, write, .. } = &mut client;
+        let answer = match command {
+            Ok(_) if matches!(place, Some(Err(_))) => {
+                let error = format!("{WATCHERS} clients watch; close one: the others may command");
+                Answer::failure(Code::Busy, error)
+            }
             Ok(Command::Watch { topics }) => {
-                return until_gone(&mut client.read, watch(&mut client.write, daemon, &topics))
-                    .await;
+                return until_gone(read, watch(write, daemon, &topics)).await;
             }
             Ok(Command::Messages { channels }) => {
-                return until_gone(
-                    &mut client.read,
-                    messages(&mut client.write, daemon, &channels),
-                )
-                .await;
+                return until_gone(read, messages(write, daemon, &channels)).await;
             }
             Ok(Command::WatchState) => {
-                return until_gone(&mut client.read, watch_state(&mut client.write, daemon)).await;
+                return until_gone(read, watch_state(write, daemon)).await;
             }
             Ok(Command::Arm(request)) if request.attendance == Attendance::Hold => {
-                if !hold(&mut client, request).await? {
-                    return Ok(());
+                match hold(&mut client, request).await? {
+                    true => continue,
+                    false => return Ok(()),
                 }
             }
-            Ok(Command::ArmJog) => {
-                if !jog(&mut client).await? {
-                    return Ok(());
-                }
-            }
-            Ok(Command::Jog(_)) => {
-                let error = "jog gives pulses on a connection that jogs: arm first with \
-                             {\"command\":\"arm\",\"attendance\":\"hold\",\"jog\":true}";
-                send(&mut client.write, &Answer::failure(Code::NoDrive, error)).await?;
-            }
-            Ok(Command::Reload) => {
-                send(&mut client.write, &reload(daemon).await).await?;
-            }
+            Ok(Command::ArmJog) => match jog(&mut client).await? {
+                true => continue,
+                false => return Ok(()),
+            },
+            Ok(Command::Jog(_)) => Answer::failure(
+                Code::NoDrive,
+                "jog gives pulses on a connection that jogs: arm first with \
+                 {\"command\":\"arm\",\"attendance\":\"hold\",\"jog\":true}",
+            ),
+            Ok(Command::Reload) => reload(daemon).await,
             Ok(Command::Arm(request)) => {
                 // A client that has given up must not be obeyed later.
                 let armed = tokio::select! {
                     armed = arm(daemon, request) => armed,
-                    () = hung_up(&mut client.read) => return Ok(()),
+                    () = hung_up(read) => return Ok(()),
                 };
-                let answer = armed.map_or_else(Answer::refusal, |()| drive_begun(daemon));
-                send(&mut client.write, &answer).await?;
+                armed.map_or_else(Answer::refusal, |()| drive_begun(daemon))
             }
-            Ok(Command::Hold) => {
-                let error = "hold renews a drive that this connection armed with the attendance \
-                             \"hold\"; there is none";
-                send(&mut client.write, &Answer::failure(Code::NoDrive, error)).await?;
-            }
-            Ok(Command::Status) => send(&mut client.write, &status(daemon)).await?,
-            Ok(Command::End(request)) => send(&mut client.write, &end(request, daemon)).await?,
-            Ok(Command::Clock) => send(&mut client.write, &clocks()).await?,
-            Ok(Command::Configuration) => send(&mut client.write, &configuration(daemon)).await?,
-            Ok(Command::SetReference(reference)) => {
-                send(&mut client.write, &set_reference(reference, daemon).await).await?;
-            }
-            Ok(Command::Tune(tuning)) => {
-                send(&mut client.write, &tune(tuning, daemon).await).await?;
-            }
+            Ok(Command::Hold) => Answer::failure(
+                Code::NoDrive,
+                "hold renews a drive that this connection armed with the attendance \"hold\"; \
+                 there is none",
+            ),
+            Ok(Command::Status) => status(daemon),
+            Ok(Command::End(request)) => end(request, daemon),
+            Ok(Command::Clock) => clocks(),
+            Ok(Command::Configuration) => configuration(daemon),
+            Ok(Command::SetReference(reference)) => set_reference(reference, daemon).await,
+            Ok(Command::Tune(tuning)) => tune(tuning, daemon).await,
             Ok(Command::Commissioned {
                 procedure,
                 result,
                 uncalibrated,
-            }) => {
-                let answer = commissioned(procedure, result, uncalibrated, daemon).await;
-                send(&mut client.write, &answer).await?;
-            }
-            Ok(Command::Setpoint(setpoint)) => {
-                if let Some(answer) = client.setpoints.pass(daemon, &setpoint) {
-                    send(&mut client.write, &answer).await?;
-                }
-            }
-            Err(error) => send(&mut client.write, &no_command(daemon, &error)).await?,
-        }
+            }) => commissioned(procedure, result, uncalibrated, daemon).await,
+            Ok(Command::Setpoint(setpoint)) => match client.setpoints.pass(daemon, &setpoint) {
+                Some(rejection) => rejection,
+                None => continue,
+            },
+            Err(error) => no_command(daemon, &error),
+        };
+        send(&mut client.write, &answer).await?;
     }
 }
 

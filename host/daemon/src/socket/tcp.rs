@@ -13,7 +13,6 @@ use singletrack_api::access::{Token, TokenFile, WaitingRoom, linger};
 use singletrack_api::{Answer, Code, SOCKET_VERSION};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt},
-    net::TcpStream,
     time::{sleep, timeout},
 };
 
@@ -71,8 +70,9 @@ pub(super) struct Gate {
 
 impl BoundPort {
     /// Listens on `port` of 127.0.0.1, and writes the token beside the Unix socket `beside`.
-    pub(super) fn bind(port: u16, beside: &Path) -> Result<Self, (&'static str, io::Error)> {
-        let during = |action| move |error| (action, error);
+    pub(super) fn bind(port: u16, beside: &Path) -> Result<Self, String> {
+        let during =
+            |action: &'static str| move |error: io::Error| format!("can't {action}: {error}");
         let listener =
             TcpListener::bind((Ipv4Addr::LOCALHOST, port)).map_err(during("listen on its port"))?;
         listener
@@ -101,31 +101,28 @@ impl Gate {
         }
     }
 
-    /// The connection of a client that has given the token. Any other one is closed.
-    pub(super) async fn pass(
+    /// Whether a client has given the token. The connection of any other one is to be closed.
+    pub(super) async fn passes(
         &self,
-        stream: TcpStream,
+        connection: &mut Connection,
         peer: SocketAddr,
-    ) -> io::Result<Option<Connection>> {
+    ) -> io::Result<bool> {
         let mut place = self.strangers.enter();
-        // An answer is one small write, which must not wait for the next one.
-        stream.set_nodelay(true)?;
-        let mut connection = Connection::from(stream);
-        let Connection { read, write } = &mut connection;
+        let Connection { read, write } = connection;
         let mut line = Vec::new();
         let mut first = (&mut *read).take(LONGEST_FIRST_LINE);
         let first_line = timeout(FIRST_LINE_TIMEOUT, first.read_until(b'\n', &mut line));
         let Some(first_line) = place.until_lost(first_line).await else {
-            return Ok(None);
+            return Ok(false);
         };
         let count = first_line.unwrap_or(Ok(0))?;
         if count > 0 && is_given_by(&self.token, &line) {
             send(write, &Answer::done()).await?;
-            return Ok(Some(connection));
+            return Ok(true);
         }
         tracing::warn!(%peer, "a connection to the control socket on TCP without the token");
         if place.until_lost(sleep(REFUSAL_DELAY)).await.is_none() {
-            return Ok(None);
+            return Ok(false);
         }
         let error = format!(
             "the first line must be {{\"version\":{SOCKET_VERSION},\"command\":\"token\",\
@@ -135,7 +132,7 @@ impl Gate {
         send(write, &Answer::failure(Code::Token, error)).await?;
         write.shutdown().await?;
         place.until_lost(linger(read)).await;
-        Ok(None)
+        Ok(false)
     }
 }
 

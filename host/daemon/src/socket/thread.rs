@@ -1,6 +1,6 @@
 //! The thread of the control socket: accepts clients and serves them.
 
-use std::{io, sync::Arc, time::Duration};
+use std::{io, net::SocketAddr, sync::Arc, time::Duration};
 
 use singletrack_api::access::WaitingRoom;
 use tokio::{
@@ -14,11 +14,11 @@ use super::{
     bind::BoundSocket,
     serve::{CLIENTS, WAITING, refuse, serve},
     stream::Connection,
-    tcp::{BoundPort, Gate},
+    tcp::Gate,
 };
 use crate::{
     handle::DaemonHandle,
-    threads::{NamedThread, NotStarted, message},
+    threads::{NamedThread, message},
 };
 
 /// The server's thread.
@@ -29,32 +29,22 @@ pub(crate) struct SocketThread {
 }
 
 impl SocketThread {
-    pub(crate) fn start(socket: BoundSocket, daemon: DaemonHandle) -> Result<Self, NotStarted> {
+    pub(crate) fn start(socket: BoundSocket, daemon: DaemonHandle) -> Result<Self, String> {
         let stop = Arc::new(Notify::new());
         let stopped = Arc::clone(&stop);
         let runtime = runtime::Builder::new_current_thread()
             .enable_io()
             .enable_time()
             .build()
-            .map_err(|source| NotStarted {
-                name: "socket",
-                source,
-            })?;
+            .map_err(|error| format!("can't start the socket thread: {error}"))?;
         let thread = NamedThread::spawn("socket", move || {
             let BoundSocket {
                 listener,
                 file,
                 port,
             } = socket;
-            let (port, token_file) = port
-                .map(
-                    |BoundPort {
-                         listener,
-                         gate,
-                         file,
-                     }| ((listener, gate), file),
-                )
-                .unzip();
+            let port = port.map(|port| ((port.listener, port.gate), port.file));
+            let (port, token_file) = port.unzip();
             runtime.block_on(async {
                 match listen(listener, port, daemon) {
                     Ok(accepting) => until_one_ends(accepting, stopped.notified()).await,
@@ -103,15 +93,10 @@ fn listen(
         waiting: WaitingRoom::new(WAITING),
     });
     if let Some((listener, gate)) = port {
-        let listener = TcpListener::from_std(listener)?;
-        accepting.spawn(accept_tcp(
-            listener,
-            gate,
-            daemon.clone(),
-            Arc::clone(&places),
-        ));
+        let listener = Listener::Tcp(TcpListener::from_std(listener)?, gate);
+        accepting.spawn(accept(listener, daemon.clone(), Arc::clone(&places)));
     }
-    accepting.spawn(accept(listener, daemon, places));
+    accepting.spawn(accept(Listener::Unix(listener), daemon, places));
     Ok(accepting)
 }
 
@@ -122,66 +107,62 @@ struct Places {
     waiting: WaitingRoom,
 }
 
-async fn accept(listener: UnixListener, daemon: DaemonHandle, places: Arc<Places>) {
+/// Where clients come from.
+enum Listener {
+    Unix(UnixListener),
+    /// Only those come in whom the gate lets through.
+    Tcp(TcpListener, Arc<Gate>),
+}
+
+async fn accept(listener: Listener, daemon: DaemonHandle, places: Arc<Places>) {
     loop {
-        match listener.accept().await {
-            Ok((stream, _)) => {
+        let accepted = match &listener {
+            Listener::Unix(listener) => {
+                listener.accept().await.map(|(unix, _)| (unix.into(), None))
+            }
+            Listener::Tcp(listener, gate) => listener.accept().await.map(|(tcp, peer)| {
+                // An answer is one small write, which must not wait for the next one.
+                let _ = tcp.set_nodelay(true);
+                (tcp.into(), Some((Arc::clone(gate), peer)))
+            }),
+        };
+        match accepted {
+            Ok((connection, gate)) => {
                 let (daemon, places) = (daemon.clone(), Arc::clone(&places));
                 tokio::spawn(async move {
-                    disconnected(admit(stream.into(), &daemon, &places).await);
+                    // A client may disconnect at any time.
+                    if let Err(error) = admit(connection, gate, &daemon, &places).await {
+                        tracing::debug!(%error, "control client disconnected");
+                    }
                 });
                 // Connections that lose their place are closed before there are more.
                 yield_now().await;
             }
-            Err(error) => not_accepted(&error).await,
-        }
-    }
-}
-
-async fn accept_tcp(
-    listener: TcpListener,
-    gate: Arc<Gate>,
-    daemon: DaemonHandle,
-    places: Arc<Places>,
-) {
-    loop {
-        match listener.accept().await {
-            Ok((stream, peer)) => {
-                let gate = Arc::clone(&gate);
-                let (daemon, places) = (daemon.clone(), Arc::clone(&places));
-                tokio::spawn(async move {
-                    disconnected(match gate.pass(stream, peer).await {
-                        Ok(Some(connection)) => admit(connection, &daemon, &places).await,
-                        Ok(None) => Ok(()),
-                        Err(error) => Err(error),
-                    });
-                });
-                yield_now().await;
+            Err(error) => {
+                // Too many open files, for instance: others may be closed soon.
+                tracing::warn!(%error, "control client not accepted");
+                tokio::time::sleep(Duration::from_millis(100)).await;
             }
-            Err(error) => not_accepted(&error).await,
         }
     }
 }
 
-/// Serves a client if there is a place.
-async fn admit(connection: Connection, daemon: &DaemonHandle, places: &Places) -> io::Result<()> {
+/// Serves a client if the gate lets it through, and if there is a place.
+async fn admit(
+    mut connection: Connection,
+    gate: Option<(Arc<Gate>, SocketAddr)>,
+    daemon: &DaemonHandle,
+    places: &Places,
+) -> io::Result<()> {
+    if let Some((gate, peer)) = gate
+        && !gate.passes(&mut connection, peer).await?
+    {
+        return Ok(());
+    }
     match Arc::clone(&places.clients).try_acquire_owned() {
         Ok(_place) => serve(connection, daemon).await,
         Err(_) => refuse(connection, daemon, places.waiting.enter()).await,
     }
-}
-
-/// A client may disconnect at any time.
-fn disconnected(result: io::Result<()>) {
-    if let Err(error) = result {
-        tracing::debug!(%error, "control client disconnected");
-    }
-}
-
-/// Too many open files, for instance: others may be closed soon.
-async fn not_accepted(error: &io::Error) {
-    tracing::warn!(%error, "control client not accepted");
-    tokio::time::sleep(Duration::from_millis(100)).await;
 }
 
 #[cfg(test)]

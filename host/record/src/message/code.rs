@@ -109,11 +109,6 @@ impl<C: Coded> Field for Code<C> {
     fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
         visitor.value(name, Value::Text(self.0.word().into()));
     }
-
-    fn parse(name: &'static str, object: &serde_json::Value) -> Result<Self, InvalidMessage> {
-        let OptionalCode(value) = Field::parse(name, object)?;
-        value.map(Self).ok_or(InvalidMessage::Field(name))
-    }
 }
 
 impl<C: Coded> Field for OptionalCode<C> {
@@ -131,16 +126,6 @@ impl<C: Coded> Field for OptionalCode<C> {
             self.0
                 .map_or(Value::Absent, |value| Value::Text(value.word().into())),
         );
-    }
-
-    fn parse(name: &'static str, object: &serde_json::Value) -> Result<Self, InvalidMessage> {
-        let Some(word) = object[name].as_str() else {
-            return Ok(Self(None));
-        };
-        let known = C::CODED.iter().find(|value| value.word() == word);
-        known
-            .map(|value| Self(Some(*value)))
-            .ok_or(InvalidMessage::Field(name))
     }
 }
 

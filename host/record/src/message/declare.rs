@@ -3,7 +3,7 @@
 use byteorder::LittleEndian;
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::{Definition, InvalidMessage};
+use super::Definition;
 use crate::value::Visitor;
 
 /// The package that all messages belong to.
@@ -19,9 +19,6 @@ pub(crate) trait Fields: Clone + Serialize + DeserializeOwned {
 
     /// Visits the fields in the order of the schema.
     fn visit(&self, visitor: &mut dyn Visitor);
-
-    /// Reads the fields from the JSON object that a visitor has written.
-    fn parse(object: &serde_json::Value) -> Result<Self, InvalidMessage>;
 }
 
 /// A message type.
@@ -105,13 +102,6 @@ macro_rules! fields {
             fn visit(&self, visitor: &mut dyn $crate::value::Visitor) {
                 use $crate::message::field::Field;
                 $( Field::visit(&self.$field, stringify!($field), visitor); )*
-            }
-
-            fn parse(
-                object: &serde_json::Value,
-            ) -> Result<Self, $crate::message::InvalidMessage> {
-                use $crate::message::field::Field;
-                Ok(Self { $( $field: <$kind as Field>::parse(stringify!($field), object)?, )* })
             }
         }
     };
@@ -217,13 +207,6 @@ macro_rules! message {
                     let absent = <Self as $crate::message::declare::Fields>::absent();
                     $crate::message::declare::Fields::visit(&absent, inner);
                 });
-            }
-
-            fn parse(
-                name: &'static str,
-                object: &serde_json::Value,
-            ) -> Result<Self, $crate::message::InvalidMessage> {
-                $crate::message::declare::Fields::parse(&object[name])
             }
         }
     };

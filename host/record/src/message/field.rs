@@ -1,7 +1,6 @@
 //! The types that a field of a message can have; among them positions and velocities on the floor.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::DeserializeOwned};
-use serde_json::Value as Json;
 use singletrack_control::{Position, Time, Velocity};
 use singletrack_protocol::Sequence;
 
@@ -26,9 +25,6 @@ pub(crate) trait Field: Clone + Serialize + DeserializeOwned {
     fn visit_absent(name: &'static str, visitor: &mut dyn Visitor) {
         visitor.value(name, Value::Absent);
     }
-
-    /// Reads it from the JSON object that a visitor has written.
-    fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage>;
 }
 
 /// A field's type as the form in which a message holds a `T` of the record.
@@ -77,15 +73,6 @@ macro_rules! plain {
                 fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
                     let $value = self;
                     visitor.value(name, $shown);
-                }
-
-                fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
-                    let value = match object.get(name) {
-                        // A quantity that is not finite.
-                        Some(Json::Null) => Some($absent),
-                        value => value.and_then(|value| Self::deserialize(value).ok()),
-                    };
-                    value.ok_or(InvalidMessage::Field(name))
                 }
             }
 
@@ -151,11 +138,6 @@ impl<M: Message + Field> Field for Vec<M> {
             }
         });
     }
-
-    fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
-        let list = object[name].as_array().ok_or(InvalidMessage::Field(name))?;
-        list.iter().map(<M as Fields>::parse).collect()
-    }
 }
 
 impl<M: Represents<T>, T, const MAX: usize> Represents<heapless::Vec<T, MAX>> for Vec<M> {
@@ -211,11 +193,6 @@ impl<T: Field> Field for Maybe<T> {
             None => T::visit_absent(name, visitor),
         }
     }
-
-    fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
-        let present = !object[name].is_null();
-        Ok(Self(present.then(|| T::parse(name, object)).transpose()?))
-    }
 }
 
 impl<F: Represents<T>, T> Represents<Option<T>> for Maybe<F> {
@@ -246,10 +223,6 @@ impl<G: Fields> Field for Group<G> {
     #[inline]
     fn visit(&self, _: &'static str, visitor: &mut dyn Visitor) {
         self.0.visit(visitor);
-    }
-
-    fn parse(_: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
-        G::parse(object).map(Self)
     }
 }
 

@@ -37,8 +37,6 @@ pub(crate) enum InvalidMessage {
     },
     #[error("a count of {0}, which is more than this machine can represent")]
     CountTooLarge(u64),
-    #[error("{0} is missing, or not of its type")]
-    Field(&'static str),
 }
 
 /// The schema of a message under construction.

@@ -284,19 +284,6 @@ impl Entry {
             }
         })
     }
-
-    /// The entry of the topic that [`Entry::write_json`] wrote as this object. A field that may be
-    /// absent may be missing, and further fields are ignored: the writer may be another release.
-    ///
-    /// # Errors
-    ///
-    /// It is no entry of this topic; in words.
-    pub fn from_json(topic: Topic, object: &serde_json::Value) -> Result<Self, String> {
-        with_message!(topic, M of Variant => {
-            let value = <M as Fields>::parse(object).and_then(M::value);
-            value.map(Variant).map_err(|error| error.to_string())
-        })
-    }
 }
 
 /// A topic in the file or in a live view, and the type of its messages.

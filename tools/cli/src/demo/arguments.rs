@@ -6,18 +6,13 @@ use clap::{Args, ValueEnum};
 use singletrack_sim::{BoardKind, LossPattern};
 
 use super::files::MAX_CARS;
-use crate::arguments::parse_duration;
+use crate::arguments::duration_within;
 
 /// Options of `singletrack demo`.
 #[derive(Clone, Debug, Args)]
 pub struct DemoArgs {
     /// How long to drive, such as 40s; a bare number is in seconds
-    #[arg(
-        long = "for",
-        value_name = "DURATION",
-        default_value = "40s",
-        value_parser = parse_time
-    )]
+    #[arg(long = "for", value_name = "DURATION", default_value = "40s", value_parser = parse_time)]
     pub(super) duration: Duration,
 
     /// The board: its code compiled for this machine, or the Arduino's image on a simulated
@@ -30,13 +25,8 @@ pub struct DemoArgs {
     pub(super) car: Car,
 
     /// Several cars on circles that cross, which keep apart, 2 to 20
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 1,
-        value_parser = parse_cars,
-        conflicts_with_all = ["live", "board", "car", "loss", "feed_forward"]
-    )]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_cars)]
+    #[arg(conflicts_with_all = ["live", "board", "car", "loss", "feed_forward"])]
     pub(super) cars: usize,
 
     /// Where the configuration, the record, the figures and the summary go
@@ -89,10 +79,5 @@ fn parse_cars(text: &str) -> Result<usize, String> {
 }
 
 fn parse_time(text: &str) -> Result<Duration, String> {
-    let time = parse_duration(text)?;
-    if (100..=86_400_000).contains(&time.as_millis()) {
-        Ok(time)
-    } else {
-        Err(format!("{text} is not between 0.1s and 86400s"))
-    }
+    duration_within(text, 0.1, 86_400.0)
 }

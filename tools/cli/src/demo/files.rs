@@ -1,6 +1,7 @@
 //! The files of a demo, and the figures of its board.
 
 use std::{
+    error::Error,
     fs::{File, TryLockError},
     io,
     path::{Path, PathBuf},
@@ -11,8 +12,6 @@ use singletrack_core::config::Config;
 use singletrack_figures::plot::{ANIMATION, FigureKind, REPORT};
 use singletrack_sim::{ImageSize, Installation, SimulatedBoard};
 use tempfile::TempDir;
-
-use super::error::DemoError;
 
 /// The files of a demo.
 pub(super) const RECORD: &str = "demo.mcap";
@@ -36,7 +35,7 @@ pub(super) const FIGURES: &str = "figures";
 /// # Errors
 ///
 /// It holds something else, or another demo writes to it.
-pub(super) fn prepare(folder: &Path) -> Result<File, DemoError> {
+pub(super) fn prepare(folder: &Path) -> Result<File, Box<dyn Error>> {
     let error = |error| not_written(folder, &error);
     std::fs::create_dir_all(folder).map_err(error)?;
     let own = File::open(folder).map_err(error)?;
@@ -44,21 +43,22 @@ pub(super) fn prepare(folder: &Path) -> Result<File, DemoError> {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
             let folder = folder.display();
-            return Err(DemoError::Other(format!(
-                "another demo writes to {folder}: give another folder with --out"
-            )));
+            return Err(
+                format!("another demo writes to {folder}: give another folder with --out").into(),
+            );
         }
-        Err(TryLockError::Error(source)) => return Err(error(source)),
+        Err(TryLockError::Error(source)) => return Err(error(source).into()),
     }
     let known = files();
     for entry in std::fs::read_dir(folder).map_err(error)? {
         let name = entry.map_err(error)?.file_name();
         if name != FIGURES && !known.iter().any(|file| file.as_os_str() == name) {
-            return Err(DemoError::Other(format!(
+            return Err(format!(
                 "{} holds {}, which no demo has written: give another folder with --out",
                 folder.display(),
                 name.display()
-            )));
+            )
+            .into());
         }
     }
     clear(folder)?;
@@ -66,18 +66,18 @@ pub(super) fn prepare(folder: &Path) -> Result<File, DemoError> {
 }
 
 /// A folder for sockets and ports, which is removed when the result is dropped.
-pub(super) fn private() -> Result<TempDir, DemoError> {
+pub(super) fn private() -> Result<TempDir, String> {
     let folder = tempfile::Builder::new().prefix("singletrack-").tempdir();
     folder.map_err(|error| not_made(&error))
 }
 
 /// A temporary folder can't be made.
-pub(super) fn not_made(error: &io::Error) -> DemoError {
-    DemoError::Other(format!("can't make a temporary folder: {error}"))
+pub(super) fn not_made(error: &io::Error) -> String {
+    format!("can't make a temporary folder: {error}")
 }
 
 /// Removes what a demo has written.
-pub(super) fn clear(folder: &Path) -> Result<(), DemoError> {
+pub(super) fn clear(folder: &Path) -> Result<(), String> {
     let figures = FigureKind::ALL.map(|kind| Path::new(FIGURES).join(kind.file_name()));
     for file in files().into_iter().chain(figures) {
         match std::fs::remove_file(folder.join(file)) {
@@ -109,12 +109,12 @@ fn files() -> Vec<PathBuf> {
 }
 
 /// Writes a file.
-pub(super) fn write(path: &Path, text: &str) -> Result<(), DemoError> {
+pub(super) fn write(path: &Path, text: &str) -> Result<(), String> {
     std::fs::write(path, text).map_err(|error| not_written(path, &error))
 }
 
-fn not_written(path: &Path, error: &io::Error) -> DemoError {
-    DemoError::Other(format!("can't write {}: {error}", path.display()))
+fn not_written(path: &Path, error: &io::Error) -> String {
+    format!("can't write {}: {error}", path.display())
 }
 
 /// The UNO image's use of its processor, from power-on to the end.
@@ -134,9 +134,9 @@ pub(super) struct BoardFigures {
 
 impl BoardFigures {
     /// None for a board that is not a UNO.
-    pub(super) fn of(board: &mut SimulatedBoard) -> Result<Option<Self>, DemoError> {
+    pub(super) fn of(board: &mut SimulatedBoard) -> Result<Option<Self>, String> {
         if let Some(failure) = board.failure() {
-            return Err(DemoError::Board(failure.to_owned()));
+            return Err(format!("the board: {failure}"));
         }
         let (Some(figures), Some(pulse_jitter_us)) = (board.figures(), board.pulse_jitter_us())
         else {
@@ -144,7 +144,7 @@ impl BoardFigures {
         };
         let size = Installation::find()
             .and_then(|installation| ImageSize::read(&installation.image))
-            .map_err(|error| DemoError::Board(error.to_string()))?;
+            .map_err(|error| format!("the board: {error}"))?;
         let asleep = figures.cycles_asleep as f64 / figures.cycles.max(1) as f64;
         let longest = figures.interrupts.iter().map(|one| one.most_cycles).max();
         Ok(Some(Self {

@@ -2,6 +2,7 @@
 //! real time or in virtual time.
 
 use std::{
+    error::Error,
     f64::consts::{FRAC_PI_2, PI, TAU},
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
@@ -22,9 +23,9 @@ use singletrack_sim::{RealTimeConfig, RealTimeSimulator, SharedFloor, StartPose}
 use singletrackd::Daemon;
 
 use super::{
-    DemoArgs, DemoError,
+    DemoArgs,
     files::{SUMMARY, file_of, not_made, private, write},
-    outcome,
+    outcome::{self, INTERRUPTED},
     real_time::{arm, stop},
     settings,
     viewers::Viewers,
@@ -74,7 +75,7 @@ impl CarSummary {
 }
 
 /// Drives, and prints how it went.
-pub(super) fn run(args: &DemoArgs, interrupt: &Interrupt) -> Result<(), DemoError> {
+pub(super) fn run(args: &DemoArgs, interrupt: &Interrupt) -> Result<(), Box<dyn Error>> {
     let cars: Vec<FleetCar> = (0..args.cars).map(|index| car(args, index)).collect();
     let (mut summaries, nearest_m) = if args.virtual_time {
         virtual_time(args, &cars, interrupt)?
@@ -85,18 +86,18 @@ pub(super) fn run(args: &DemoArgs, interrupt: &Interrupt) -> Result<(), DemoErro
         summary
             .name
             .clone_from(&car.config.motion_capture.rigid_body);
+        let end = match summary.ended {
+            Some(reason) => format!("stopped: {reason}"),
+            None => "drove to the end".to_owned(),
+        };
+        let missed = summary.deadline_misses;
+        let missed = missed.map(|misses| format!(", {misses} ticks missed"));
         println!(
-            "{:6} {:6.1} m, yielded {:5.1} s, {}{}",
+            "{:6} {:6.1} m, yielded {:5.1} s, {end}{}",
             summary.name,
             summary.way_m,
             summary.yielded_s,
-            summary.ended.map_or_else(
-                || "drove to the end".to_owned(),
-                |reason| format!("stopped: {reason}")
-            ),
-            summary
-                .deadline_misses
-                .map_or_else(String::new, |misses| format!(", {misses} ticks missed")),
+            missed.unwrap_or_default()
         );
     }
     println!("least distance between any two: {nearest_m:.3} m");
@@ -109,7 +110,7 @@ pub(super) fn run(args: &DemoArgs, interrupt: &Interrupt) -> Result<(), DemoErro
     write(&path, &format!("{summary:#}\n"))?;
     println!("records and summary: {}", args.out.display());
     match interrupt.is_raised() {
-        true => Err(DemoError::Interrupted),
+        true => Err(INTERRUPTED.into()),
         false => Ok(()),
     }
 }
@@ -165,7 +166,7 @@ fn virtual_time(
     args: &DemoArgs,
     cars: &[FleetCar],
     interrupt: &Interrupt,
-) -> Result<(Vec<CarSummary>, f64), DemoError> {
+) -> Result<(Vec<CarSummary>, f64), Box<dyn Error>> {
     for car in cars {
         write_configuration(args, &car.config)?;
     }
@@ -213,7 +214,7 @@ fn real_time(
     args: &DemoArgs,
     cars: &[FleetCar],
     interrupt: &Interrupt,
-) -> Result<(Vec<CarSummary>, f64), DemoError> {
+) -> Result<(Vec<CarSummary>, f64), Box<dyn Error>> {
     let private = private()?;
     let floor = Arc::new(Mutex::new(fleet_floor(cars)));
     let nearest_m = || {
@@ -225,7 +226,7 @@ fn real_time(
     let start = |index| start(args, cars, index, &floor, private.path());
     let fleet: Vec<_> = (0..cars.len())
         .map(start)
-        .collect::<Result<_, DemoError>>()?;
+        .collect::<Result<_, Box<dyn Error>>>()?;
     let mut sockets = cars
         .iter()
         .map(|car| settings::socket(&folder(private.path(), car)));
@@ -270,7 +271,7 @@ fn start(
     index: usize,
     floor: &Arc<Mutex<singletrack_sim::Floor>>,
     private: &Path,
-) -> Result<Pair, DemoError> {
+) -> Result<Pair, Box<dyn Error>> {
     let mut config = cars[index].config.clone();
     let folder = folder(private, &cars[index]);
     std::fs::create_dir(&folder).map_err(|error| not_made(&error))?;
@@ -293,6 +294,7 @@ fn folder(private: &Path, car: &FleetCar) -> PathBuf {
     private.join(&car.config.motion_capture.rigid_body)
 }
 
-fn write_configuration(args: &DemoArgs, config: &Config) -> Result<(), DemoError> {
-    write(&args.out.join(file_of(config, "toml")), &config.to_toml()?)
+fn write_configuration(args: &DemoArgs, config: &Config) -> Result<(), Box<dyn Error>> {
+    let path = args.out.join(file_of(config, "toml"));
+    Ok(write(&path, &config.to_toml()?)?)
 }

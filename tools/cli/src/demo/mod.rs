@@ -2,7 +2,6 @@
 //! or, where the computer can't keep it, in virtual time.
 
 mod arguments;
-mod error;
 mod files;
 mod fleet;
 mod outcome;
@@ -12,16 +11,15 @@ mod settings;
 mod viewers;
 mod virtual_time;
 
+use std::error::Error;
+
 use singletrack_pilot::Reason;
 
 use crate::interrupt::Interrupt;
-use error::because;
 use files::prepare;
-use outcome::Drive;
-use outcome::Progress;
+use outcome::{Drive, INTERRUPTED, NotStarted, Progress, because};
 
 pub use arguments::DemoArgs;
-pub use error::DemoError;
 
 /// Runs the demo.
 ///
@@ -29,16 +27,13 @@ pub use error::DemoError;
 ///
 /// Why the car did not drive to the end; the record and the figures so far are
 /// written all the same.
-pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
+pub fn run(args: &DemoArgs) -> Result<(), Box<dyn Error>> {
     if args.live.is_some() && !cfg!(feature = "live") {
-        return Err(DemoError::Other(
-            "--live needs the feature `live`, without which this program was built: `cargo demo \
-             --live` builds it with it"
-                .to_owned(),
-        ));
+        let why = "--live needs the feature `live`, without which this program was built: `cargo \
+                   demo --live` builds it with it";
+        return Err(why.into());
     }
-    let interrupt = Interrupt::listen()
-        .map_err(|error| DemoError::Other(format!("can't listen for signals: {error}")))?;
+    let interrupt = Interrupt::listen()?;
     let folder = prepare(&args.out)?;
     if args.cars > 1 {
         return fleet::run(args, &interrupt);
@@ -50,17 +45,18 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         let driven = real_time::run(args, &mut progress, &interrupt);
         match untimely(args, &driven) {
             Some(reason) if !interrupt.is_raised() => {
-                progress.say(&format!(
+                let note = format!(
                     "singletrack: this computer is too busy for real time ({reason}): the demo goes \
                      on in virtual time, which --virtual asks for"
-                ));
+                );
+                progress.bar.suspend(|| eprintln!("{note}"));
                 files::clear(&args.out)?;
                 virtual_time::run(args, &mut progress, &interrupt)?
             }
             _ => driven?,
         }
     };
-    progress.finish();
+    progress.bar.finish_and_clear();
     drop(folder);
 
     let plotted = report::plot(args, &driven);
@@ -71,25 +67,25 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     }
     match driven.ended {
         None => Ok(plotted?),
-        Some(_) if interrupt.is_raised() => Err(DemoError::Interrupted),
-        Some(ended) => Err(DemoError::Other(format!(
+        Some(_) if interrupt.is_raised() => Err(INTERRUPTED.into()),
+        Some(ended) => Err(format!(
             "the drive ended after {:.1} s of {:.1} s: mode {}{}; see {}",
             ended.after_s,
             args.duration.as_secs_f64(),
             ended.mode,
             because(ended.reason),
             args.out.display()
-        ))),
+        )
+        .into()),
     }
 }
 
 /// Why a drive ended or did not begin, if that is what happens on a computer that holds up programs
 /// and lines for longer than a command lives. In a drive without lost markers nothing else is wrong.
-fn untimely(args: &DemoArgs, driven: &Result<Drive, DemoError>) -> Option<Reason> {
+fn untimely(args: &DemoArgs, driven: &Result<Drive, Box<dyn Error>>) -> Option<Reason> {
     let reason = match driven {
         Ok(drive) => drive.ended.as_ref()?.reason?,
-        Err(DemoError::NotStarted { reason, .. }) => (*reason)?,
-        Err(_) => return None,
+        Err(error) => error.downcast_ref::<NotStarted>()?.reason?,
     };
     let by_line = matches!(
         reason,

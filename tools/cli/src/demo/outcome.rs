@@ -17,7 +17,7 @@ pub(super) fn bar(duration: Duration) -> ProgressBar {
 }
 
 pub(super) struct Progress {
-    bar: ProgressBar,
+    pub(super) bar: ProgressBar,
     expected_m: f64,
 }
 
@@ -49,15 +49,6 @@ impl Progress {
             if held { "  (markers lost)" } else { "" }
         ));
     }
-
-    /// Prints a line beside the progress.
-    pub(super) fn say(&self, line: &str) {
-        self.bar.suspend(|| eprintln!("{line}"));
-    }
-
-    pub(super) fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
 }
 
 /// A finished drive, for the report.
@@ -85,4 +76,24 @@ pub(super) struct Ended {
     pub(super) mode: Mode,
     pub(super) reason: Option<Reason>,
     pub(super) after_s: f64,
+}
+
+/// The car was never ready, or did not start.
+#[derive(Debug, thiserror::Error)]
+#[error("the car did not start within {seconds} s: mode {mode}{}", because(*reason))]
+pub(super) struct NotStarted {
+    /// The mode that it stayed in.
+    pub(super) mode: Mode,
+    /// Why.
+    pub(super) reason: Option<Reason>,
+    /// How long it was given.
+    pub(super) seconds: u64,
+}
+
+/// Why a demo ended that somebody interrupted.
+pub(super) const INTERRUPTED: &str = "interrupted";
+
+/// The reason, beside a mode.
+pub(super) fn because(reason: Option<Reason>) -> String {
+    reason.map_or_else(String::new, |reason| format!(" ({reason})"))
 }

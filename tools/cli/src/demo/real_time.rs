@@ -2,6 +2,7 @@
 //! real car.
 
 use std::{
+    error::Error,
     thread,
     time::{Duration, Instant},
 };
@@ -11,11 +12,10 @@ use singletrack_sim::RealTimeSimulator;
 use singletrackd::{Daemon, Snapshot};
 
 use super::{
-    DemoArgs, DemoError,
+    DemoArgs,
     files::BoardFigures,
     files::{CONFIGURATION, RECORD, SIMULATION, private, write},
-    outcome::Progress,
-    outcome::{Drive, Ended},
+    outcome::{Drive, Ended, INTERRUPTED, NotStarted, Progress},
     settings,
 };
 use crate::interrupt::Interrupt;
@@ -32,7 +32,7 @@ pub(super) fn run(
     args: &DemoArgs,
     progress: &mut Progress,
     interrupt: &Interrupt,
-) -> Result<Drive, DemoError> {
+) -> Result<Drive, Box<dyn Error>> {
     let private = private()?;
     let simulation = settings::simulation(args)?;
     let front_axle_distance_m = args.car.vehicle()?.front_axle_distance_m;
@@ -82,7 +82,7 @@ fn start(
     simulator: &RealTimeSimulator,
     progress: &Progress,
     interrupt: &Interrupt,
-) -> Result<u64, DemoError> {
+) -> Result<u64, Box<dyn Error>> {
     arm(&[daemon], READY_TIMEOUT, interrupt, |snapshot| {
         progress.waiting(snapshot.mode(), snapshot.reason());
     })?;
@@ -101,16 +101,16 @@ pub(super) fn arm(
     timeout: Duration,
     interrupt: &Interrupt,
     show: impl Fn(&Snapshot),
-) -> Result<(), DemoError> {
+) -> Result<(), Box<dyn Error>> {
     let begin = Instant::now();
     for wanted in [Mode::Ready, Mode::Driving] {
         let waits = |daemon: &&Daemon| Some(daemon.snapshot()).filter(|it| it.mode() != wanted);
         while let Some(snapshot) = daemons.iter().find_map(waits) {
             if interrupt.is_raised() {
-                return Err(DemoError::Interrupted);
+                return Err(INTERRUPTED.into());
             }
             if begin.elapsed() > timeout {
-                return Err(not_started(&snapshot, timeout));
+                return Err(not_started(&snapshot, timeout).into());
             }
             show(&snapshot);
             thread::sleep(POLL);
@@ -124,8 +124,8 @@ pub(super) fn arm(
     Ok(())
 }
 
-fn not_started(snapshot: &Snapshot, timeout: Duration) -> DemoError {
-    DemoError::NotStarted {
+fn not_started(snapshot: &Snapshot, timeout: Duration) -> NotStarted {
+    NotStarted {
         mode: snapshot.mode(),
         reason: snapshot.reason(),
         seconds: timeout.as_secs(),
@@ -147,7 +147,7 @@ fn drive(
     front_axle_distance_m: f64,
     progress: &mut Progress,
     interrupt: &Interrupt,
-) -> Result<Option<Ended>, DemoError> {
+) -> Result<Option<Ended>, Box<dyn Error>> {
     let wanted_s = duration.as_secs_f64();
     let mut last_s = 0.0;
     loop {
@@ -176,7 +176,7 @@ fn drive(
 }
 
 /// Asks cars to stop, and waits until they are disarmed.
-pub(super) fn stop(daemons: &[&Daemon]) -> Result<(), DemoError> {
+pub(super) fn stop(daemons: &[&Daemon]) -> Result<(), Box<dyn Error>> {
     let begin = Instant::now();
     for daemon in daemons {
         if daemon.snapshot().mode().is_underway() {

@@ -1,20 +1,22 @@
 //! The results of the demo: a summary, figures, and a few printed lines.
 
-use std::io::{self, Write};
+use std::error::Error;
 
 use serde::Serialize;
-use singletrack_figures::plot::{
-    self, FigureKind, PlotError, REPORT, Record, TruthSample, write_animation, write_figures,
-    write_report,
+use singletrack_figures::{
+    output,
+    plot::{
+        self, FigureKind, PlotError, REPORT, Record, TruthSample, write_animation, write_figures,
+        write_report,
+    },
 };
 use singletrack_pilot::Reason;
 use singletrack_scenario::tracking::{Sample, Tracking, last_turn, rms_error};
 use singletrack_sim::{LossPattern, Truth};
-use singletrackd::{Percentiles, Summary};
+use singletrackd::Summary;
 
 use super::{
     arguments::DemoArgs,
-    error::DemoError,
     files::BoardFigures,
     files::{self, CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
     outcome::Drive,
@@ -34,8 +36,9 @@ struct DemoSummary<'a> {
     feed_forward: bool,
     loss: Option<String>,
     virtual_time: bool,
+    /// What is measured in real time only.
     #[serde(flatten)]
-    real_time: Option<RealTimeFigures<'a>>,
+    daemon: Option<&'a Summary>,
     /// Of the last full turn.
     tracking: Option<Tracking>,
     /// Of the whole drive.
@@ -47,62 +50,8 @@ struct DemoSummary<'a> {
     board: Option<BoardFigures>,
 }
 
-/// What is measured in real time only.
-#[derive(Serialize)]
-struct RealTimeFigures<'a> {
-    ticks: u64,
-    deadline_misses: u64,
-    lateness_us: Percentiles,
-    frames: &'a singletrackd::Frames,
-    mocap: Mocap<'a>,
-    latency_ms: Latency,
-    daemon: &'a Summary,
-}
-
-impl<'a> RealTimeFigures<'a> {
-    fn of(summary: &'a Summary) -> Self {
-        let figures = &summary.figures;
-        Self {
-            ticks: figures.ticks,
-            deadline_misses: figures.deadline_misses,
-            lateness_us: figures.lateness_us,
-            frames: &figures.frames,
-            mocap: Mocap {
-                lost: figures.mocap.missing_while_driving,
-                frames: figures.mocap.frames,
-                held_ticks: figures.mocap.held_ticks,
-                detail: &figures.mocap,
-            },
-            latency_ms: Latency {
-                capture_to_command: Percentiles {
-                    p50: figures.capture_to_command_us.p50 / 1000.0,
-                    p99: figures.capture_to_command_us.p99 / 1000.0,
-                    max: figures.capture_to_command_us.max / 1000.0,
-                },
-            },
-            daemon: summary,
-        }
-    }
-}
-
-/// The cameras, over the drive.
-#[derive(Serialize)]
-struct Mocap<'a> {
-    /// Frames without a valid pose while the car drove, for any reason.
-    lost: u64,
-    frames: u64,
-    held_ticks: u64,
-    detail: &'a singletrackd::MocapFigures,
-}
-
-#[derive(Serialize)]
-struct Latency {
-    /// In ms.
-    capture_to_command: Percentiles,
-}
-
 /// Writes the summary, and prints it with the path of the report if there is one.
-pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(), DemoError> {
+pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(), Box<dyn Error>> {
     let samples = samples(drive);
     let tracking = last_turn(&samples, [0.0, 0.0], settings::ANGULAR_VELOCITY);
     let ended = drive.ended.as_ref();
@@ -115,7 +64,7 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
         feed_forward: args.feed_forward,
         loss: args.loss.as_ref().map(LossPattern::to_string),
         virtual_time: drive.summary.is_none(),
-        real_time: drive.summary.as_ref().map(RealTimeFigures::of),
+        daemon: drive.summary.as_ref(),
         tracking,
         rms_error_m: rms_error(&samples),
         expected: settings::expected(args.feed_forward),
@@ -123,11 +72,13 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
     };
     let path = args.out.join(SUMMARY);
     let json = serde_json::to_string_pretty(&summary)
-        .map_err(|error| DemoError::Other(format!("can't write {}: {error}", path.display())))?;
+        .map_err(|error| format!("can't write {}: {error}", path.display()))?;
     files::write(&path, &format!("{json}\n"))?;
-    // A closed pipe is no error.
-    let _ = print(&mut io::stdout().lock(), args, drive, &summary, plotted);
-    Ok(())
+    let mut text = text(args, drive, &summary);
+    if plotted {
+        text += &format!("Open {}\n", args.out.join(REPORT).display());
+    }
+    Ok(output::print(&text)?)
 }
 
 /// The true P beside its reference, over the drive.
@@ -180,17 +131,8 @@ fn true_samples(driven: &Drive, drive: &plot::drive::Drive) -> Vec<TruthSample> 
 }
 
 /// The summary, for a person.
-fn print(
-    out: &mut impl Write,
-    args: &DemoArgs,
-    drive: &Drive,
-    summary: &DemoSummary<'_>,
-    plotted: bool,
-) -> io::Result<()> {
-    let folder = &args.out;
-    let expected = &summary.expected;
-    writeln!(
-        out,
+fn text(args: &DemoArgs, drive: &Drive, summary: &DemoSummary<'_>) -> String {
+    let mut lines = vec![format!(
         "Drove {:.1} s of the paper's circle{}.",
         drive.duration_s,
         if summary.virtual_time {
@@ -198,79 +140,69 @@ fn print(
         } else {
             ""
         }
-    )?;
-    match &summary.tracking {
-        Some(tracking) => writeln!(
-            out,
-            "  P, last full turn   amplitude {:.3} m, lag {:.3} rad, RMS error {:.1} mm",
-            tracking.amplitude_m,
-            tracking.lag_rad,
-            tracking.rms_error_m * 1000.0
-        )?,
-        None => writeln!(
-            out,
-            "  P, from the start   RMS error {:.1} mm; a full turn takes 12.6 s",
-            summary.rms_error_m.unwrap_or(f64::NAN) * 1000.0
-        )?,
-    }
-    writeln!(
-        out,
-        "  theory, settled     amplitude {:.3} m, lag {:.3} rad, RMS error {:.1} mm{}",
-        expected.amplitude_m,
-        expected.lag_rad,
-        expected.error_m * 1000.0,
-        if args.feed_forward {
-            ""
-        } else {
-            " (unit gain alone; --feed-forward: 0)"
+    )];
+    let mut line = |name: &str, text: String| lines.push(format!("  {name:<20}{text}"));
+    match summary.tracking {
+        Some(turn) => {
+            let driven = circle(turn.amplitude_m, turn.lag_rad, turn.rms_error_m);
+            line("P, last full turn", driven);
         }
-    )?;
-    if let Some(Summary { figures, .. }) = &drive.summary {
-        writeln!(
-            out,
-            "  ticks               {}, {} deadlines missed; {:.0} us late at the median, {:.0} us at p99",
-            figures.ticks,
-            figures.deadline_misses,
-            figures.lateness_us.p50,
-            figures.lateness_us.p99
-        )?;
-        writeln!(
-            out,
-            "  capture to command  {:.1} ms at the median, {:.1} ms at p99",
-            figures.capture_to_command_us.p50 / 1000.0,
-            figures.capture_to_command_us.p99 / 1000.0
-        )?;
-        writeln!(
-            out,
-            "  cameras             {} frames, {} without a pose while driving, {} ticks held",
-            figures.mocap.frames, figures.mocap.missing_while_driving, figures.mocap.held_ticks
-        )?;
-        writeln!(
-            out,
-            "  line                {} frames out, {} in, {} damaged",
-            figures.frames.sent,
-            figures.frames.received,
-            figures.frames.crc_errors + figures.frames.decode_errors
-        )?;
+        None => {
+            let error_mm = summary.rms_error_m.unwrap_or(f64::NAN) * 1000.0;
+            let error = format!("RMS error {error_mm:.1} mm; a full turn takes 12.6 s");
+            line("P, from the start", error);
+        }
     }
-    if let Some(board) = &drive.board {
-        writeln!(
-            out,
-            "  board               {} B of flash, {} B of SRAM, {:.1} % busy, longest interrupt {} cycles, pulse jitter {:.3} us",
+    let expected = &summary.expected;
+    let note = if args.feed_forward {
+        ""
+    } else {
+        " (unit gain alone; --feed-forward: 0)"
+    };
+    let theory = circle(expected.amplitude_m, expected.lag_rad, expected.error_m);
+    line("theory, settled", theory + note);
+    if let Some(Summary { figures, .. }) = summary.daemon {
+        let (late, latency) = (figures.lateness_us, figures.capture_to_command_us);
+        let (mocap, frames) = (figures.mocap, figures.frames);
+        let ticks = format!(
+            "{}, {} deadlines missed; {:.0} us late at the median, {:.0} us at p99",
+            figures.ticks, figures.deadline_misses, late.p50, late.p99
+        );
+        line("ticks", ticks);
+        let [median, p99] = [latency.p50, latency.p99].map(|us| us / 1000.0);
+        let latency = format!("{median:.1} ms at the median, {p99:.1} ms at p99");
+        line("capture to command", latency);
+        let cameras = format!(
+            "{} frames, {} without a pose while driving, {} ticks held",
+            mocap.frames, mocap.missing_while_driving, mocap.held_ticks
+        );
+        line("cameras", cameras);
+        let damaged = frames.crc_errors + frames.decode_errors;
+        let (sent, received) = (frames.sent, frames.received);
+        let frames = format!("{sent} frames out, {received} in, {damaged} damaged");
+        line("line", frames);
+    }
+    if let Some(board) = summary.board {
+        let board = format!(
+            "{} B of flash, {} B of SRAM, {:.1} % busy, longest interrupt {} cycles, \
+             pulse jitter {:.3} us",
             board.flash_bytes,
             board.sram_bytes,
             board.cpu_percent,
             board.isr_max_cycles,
             board.pulse_jitter_us
-        )?;
+        );
+        line("board", board);
     }
-    writeln!(
-        out,
-        "In {}: {FIGURES}/, {SUMMARY}, {RECORD}, {CONFIGURATION}, {SIMULATION}",
-        folder.display()
-    )?;
-    if plotted {
-        writeln!(out, "Open {}", folder.join(REPORT).display())?;
-    }
-    Ok(())
+    lines.push(format!(
+        "In {}: {FIGURES}/, {SUMMARY}, {RECORD}, {CONFIGURATION}, {SIMULATION}\n",
+        args.out.display()
+    ));
+    lines.join("\n")
+}
+
+/// A point on a circle, in words.
+fn circle(amplitude_m: f64, lag_rad: f64, error_m: f64) -> String {
+    let error_mm = error_m * 1000.0;
+    format!("amplitude {amplitude_m:.3} m, lag {lag_rad:.3} rad, RMS error {error_mm:.1} mm")
 }

@@ -1,6 +1,7 @@
 //! The demo's world and the daemon's configuration.
 
 use std::{
+    error::Error,
     net::Ipv4Addr,
     path::{Path, PathBuf},
 };
@@ -16,10 +17,7 @@ use singletrack_sim::{
 };
 use singletrackd::StartOptions;
 
-use super::{
-    arguments::{Car, DemoArgs},
-    error::DemoError,
-};
+use super::arguments::{Car, DemoArgs};
 
 /// The paper's circle: radius in m, angular velocity in rad/s.
 pub(super) const RADIUS: f64 = 1.0;
@@ -48,24 +46,24 @@ impl Car {
         }
     }
 
-    fn config(self) -> Result<Option<Config>, DemoError> {
+    fn config(self) -> Result<Option<Config>, Box<dyn Error>> {
         let config = self.files().map(|[belief, _]| Config::from_toml(belief));
         Ok(config.transpose()?)
     }
 
     /// The car that is believed.
-    pub(super) fn vehicle(self) -> Result<VehicleParameters, DemoError> {
+    pub(super) fn vehicle(self) -> Result<VehicleParameters, Box<dyn Error>> {
         let config = self.config()?;
         Ok(config.map_or_else(VehicleParameters::paper, |config| config.vehicle))
     }
 
-    fn truth(self) -> Result<CarTruth, DemoError> {
+    fn truth(self) -> Result<CarTruth, Box<dyn Error>> {
         let truth = self.files().map(|[_, truth]| toml::from_str(truth));
         Ok(truth.transpose()?.unwrap_or_default())
     }
 }
 
-pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig, DemoError> {
+pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig, Box<dyn Error>> {
     let mut config = SimulationConfig {
         seed: args.seed,
         ..SimulationConfig::default()
@@ -120,7 +118,7 @@ pub(super) fn socket(private: &Path) -> PathBuf {
     private.join("control.sock")
 }
 
-pub(super) fn daemon(args: &DemoArgs) -> Result<Config, DemoError> {
+pub(super) fn daemon(args: &DemoArgs) -> Result<Config, Box<dyn Error>> {
     let vehicle = args.car.vehicle()?;
     let mut config = daemon_config(simulated::Drive {
         vehicle,

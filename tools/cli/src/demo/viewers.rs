@@ -2,13 +2,14 @@
 
 use std::{
     any::Any,
+    error::Error,
     path::{Path, PathBuf},
 };
 
 use singletrack_core::config::PageSection;
 use singletrack_viewers::page::{OtherCar, Page};
 
-use super::{arguments::DemoArgs, error::DemoError};
+use super::arguments::DemoArgs;
 
 /// The servers that the options ask for. They end when this value is dropped.
 #[derive(Default)]
@@ -21,7 +22,7 @@ impl Viewers {
         args: &DemoArgs,
         socket: &Path,
         others: &[PathBuf],
-    ) -> Result<Self, DemoError> {
+    ) -> Result<Self, Box<dyn Error>> {
         let mut viewers = Self::default();
         if let Some(port) = args.watch {
             let section = PageSection {
@@ -43,8 +44,7 @@ impl Viewers {
                 port,
                 ..Default::default()
             };
-            let live = singletrack_viewers::live::Live::start(socket.to_owned(), section)
-                .map_err(|error| DemoError::Other(error.to_string()))?;
+            let live = singletrack_viewers::live::Live::start(socket.to_owned(), section)?;
             eprintln!(
                 "Live view: ws://{} (open a WebSocket connection in Foxglove, Lichtblick or \
                  PlotJuggler)",

@@ -1,15 +1,16 @@
 //! The drive in virtual time: the same host loop, board and cameras, on one thread.
 
+use std::error::Error;
+
 use singletrack_pilot::{Mode, PilotRequest};
 use singletrack_scenario::{virtual_drive::VirtualDrive, virtual_record::VirtualRecord};
 use singletrack_sim::TimedTruth;
 
 use super::{
-    DemoArgs, DemoError,
+    DemoArgs,
     files::BoardFigures,
     files::{CONFIGURATION, RECORD, SIMULATION, write},
-    outcome::Progress,
-    outcome::{Drive, Ended},
+    outcome::{Drive, Ended, Progress},
     settings,
 };
 use crate::interrupt::Interrupt;
@@ -22,7 +23,7 @@ pub(super) fn run(
     args: &DemoArgs,
     progress: &mut Progress,
     interrupt: &Interrupt,
-) -> Result<Drive, DemoError> {
+) -> Result<Drive, Box<dyn Error>> {
     let simulation = settings::simulation(args)?;
     let front_axle_distance_m = args.car.vehicle()?.front_axle_distance_m;
     let config = settings::daemon(args)?;

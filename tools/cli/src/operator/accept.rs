@@ -61,14 +61,14 @@ const NOT_AGREED: &str = "nothing was written: agree with y, or give --yes";
 /// Nothing is known, the file is not the one that was driven with, or the new values do not fit.
 pub fn run(args: &AcceptArgs) -> Result<(), Box<dyn Error>> {
     if let (true, Some(record), Some(config)) = (args.check, &args.record, &args.config) {
-        return Ok(control::print(&check(record, &Config::read(config)?)?)?);
+        return control::print(&check(record, &Config::read(config)?)?);
     }
     let (known, path) = match (&args.record, &args.config) {
         (Some(record), Some(config)) => (of_record(record)?, config.clone()),
         _ => of_daemon(&args.control)?,
     };
     let Some(line) = known.line() else {
-        return Ok(control::print("the drives contradict no value")?);
+        return control::print("the drives contradict no value");
     };
     control::print(&line)?;
     if known.corrections.is_empty() {
@@ -88,10 +88,10 @@ pub fn run(args: &AcceptArgs) -> Result<(), Box<dyn Error>> {
     }
     let reloaded =
         ask(&Request::Reload {}, &args.control.socket).map_err(|error| error.to_string());
-    Ok(control::print(&match reloaded {
+    control::print(&match reloaded {
         Ok(_) => "The daemon has reloaded it.".to_owned(),
         Err(error) => format!("The file is written, but not in force yet: {error}"),
-    })?)
+    })
 }
 
 /// What the daemon knows, and the file that it reads.

@@ -4,21 +4,22 @@
 //! the car stops when it ends, however it ends.
 
 use std::{
-    io::{self, IsTerminal as _, Write as _},
+    error::Error,
+    io::{self, Write as _},
     path::{Path, PathBuf},
     process::ExitCode,
     time::{Duration, Instant},
 };
 
 use clap::Args;
+use indicatif::ProgressBar;
 use singletrack_api::{
-    Arm, Attendance, Connection, Drive as DriveState, Ended, HeldDrive, RENEWAL, Reply, Request,
-    ask, ask_within,
+    Arm, Attendance, Connection, Ended, HeldDrive, RENEWAL, Reply, Request, ask, ask_within,
 };
 use singletrack_core::reasons::Why;
 
-use crate::operator::control::{ControlArgs, ControlError, print};
-use crate::{arguments::parse_duration, interrupt::Interrupt};
+use crate::operator::control::{ControlArgs, print};
+use crate::{arguments::duration_within, interrupt::Interrupt, progress::progress_bar};
 
 /// Options of `singletrack arm`.
 #[derive(Clone, Debug, Args)]
@@ -76,7 +77,7 @@ pub(crate) fn ended_as_wanted(is_so: bool) -> ExitCode {
 /// # Errors
 ///
 /// When the car can't be armed, or the connection is lost; the reason is the daemon's.
-pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
+pub fn run(args: &ArmArgs) -> Result<ExitCode, Box<dyn Error>> {
     if args.unattended {
         let answer = ask(&args.request(Attendance::Unattended), &args.control.socket)?;
         warn(&answer.warnings);
@@ -89,7 +90,7 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
         None => (Attendance::Hold, Request::Hold {}),
         Some(_) => (Attendance::Timed, Request::Status {}),
     };
-    drive.send(&args.request(attendance))?;
+    drive.held.connection.send(&args.request(attendance))?;
     drive.attend(&interrupt, &renewal, None)
 }
 
@@ -106,7 +107,7 @@ impl ArmArgs {
 
 /// A connection that attends a drive.
 pub(crate) struct Drive {
-    held: HeldDrive,
+    pub(crate) held: HeldDrive,
     progress: Progress,
     socket: PathBuf,
 }
@@ -117,16 +118,12 @@ impl Drive {
         args: &ControlArgs,
         what: &'static str,
         interval: Duration,
-    ) -> Result<Self, ControlError> {
+    ) -> Result<Self, Box<dyn Error>> {
         Ok(Self {
             held: HeldDrive::new(Connection::open(&args.socket, PATIENCE)?, interval),
             progress: Progress::new(what),
             socket: args.socket.clone(),
         })
-    }
-
-    pub(crate) fn send(&mut self, request: &Request) -> Result<(), ControlError> {
-        Ok(self.held.send(request)?)
     }
 
     /// Sends `renewal` at every interval until the drive has ended. Ctrl-C disarms the car, as
@@ -136,7 +133,7 @@ impl Drive {
         interrupt: &Interrupt,
         renewal: &Request,
         time: Option<Duration>,
-    ) -> Result<ExitCode, ControlError> {
+    ) -> Result<ExitCode, Box<dyn Error>> {
         self.attend_with(interrupt, time, || {
             Ok(Some((renewal.clone(), CTRL_C.to_owned())))
         })
@@ -147,15 +144,16 @@ impl Drive {
         &mut self,
         interrupt: &Interrupt,
         time: Option<Duration>,
-        mut renewal: impl FnMut() -> Result<Option<(Request, String)>, ControlError>,
-    ) -> Result<ExitCode, ControlError> {
+        mut renewal: impl FnMut() -> Result<Option<(Request, String)>, Box<dyn Error>>,
+    ) -> Result<ExitCode, Box<dyn Error>> {
         let begun = Instant::now();
-        let mut is_armed = false;
-        let mut armed = begun;
+        let mut armed: Option<Instant> = None;
         let mut is_disarmed = false;
         let mut is_let_go = false;
         loop {
-            let is_over_time = is_armed && time.is_some_and(|time| armed.elapsed() >= time);
+            let is_over_time = armed
+                .zip(time)
+                .is_some_and(|(armed, time)| armed.elapsed() >= time);
             if (interrupt.is_raised() || is_over_time || is_let_go) && !is_disarmed {
                 is_disarmed = true;
                 // On a connection of its own: this one may wait for the board to arm.
@@ -164,13 +162,13 @@ impl Drive {
             if self.held.is_due() {
                 match renewal()? {
                     Some((renewal, note)) => {
-                        self.send(&renewal)?;
+                        self.held.connection.send(&renewal)?;
                         self.progress.note(note);
                     }
                     None => is_let_go = true,
                 }
             }
-            let Some(line) = self.held.received_within(WAIT)? else {
+            let Some(line) = self.held.connection.receive_within(WAIT)? else {
                 continue;
             };
             let answer = match line {
@@ -178,7 +176,9 @@ impl Drive {
                     return self.progress.end(&ended, begun, &self.socket);
                 }
                 Reply::Drive { drive, .. } => {
-                    self.progress.show(drive);
+                    let (mode, reason) = (drive.mode, drive.reason);
+                    let state = Ended { mode, reason };
+                    self.progress.show(&state, drive.drive_time_s);
                     continue;
                 }
                 answer => answer.agreed()?,
@@ -186,25 +186,19 @@ impl Drive {
             match answer.status {
                 // Of a timed drive, which the daemon does not report.
                 Some(status) => {
-                    let Some(state) = status.state.filter(|_| is_armed) else {
+                    let Some(state) = status.state.filter(|_| armed.is_some()) else {
                         continue;
                     };
                     let (mode, reason) = (state.mode, state.reason);
-                    if is_over(&mode) {
-                        let ended = Ended { mode, reason };
+                    let ended = Ended { mode, reason };
+                    if is_over(&ended.mode) {
                         return self.progress.end(&ended, begun, &self.socket);
                     }
-                    self.progress.show(DriveState {
-                        drive_time_s: state.drive_time_s,
-                        mode,
-                        reason,
-                        speed_m_s: state.speed_m_s,
-                    });
+                    self.progress.show(&ended, state.drive_time_s);
                 }
-                None if !is_armed => {
-                    warn(&answer.warnings);
-                    is_armed = true;
-                    armed = Instant::now();
+                None if armed.is_none() => {
+                    self.progress.bar.suspend(|| warn(&answer.warnings));
+                    armed = Some(Instant::now());
                 }
                 None => {}
             }
@@ -228,7 +222,7 @@ fn is_over(mode: &str) -> bool {
 /// Shows on a terminal how the drive goes on.
 struct Progress {
     what: &'static str,
-    is_terminal: bool,
+    bar: ProgressBar,
     mode: String,
     note: String,
 }
@@ -237,42 +231,40 @@ impl Progress {
     fn new(what: &'static str) -> Self {
         Self {
             what,
-            is_terminal: io::stderr().is_terminal(),
+            bar: progress_bar(0, "{msg}"),
             mode: "mode arming".to_owned(),
             note: String::new(),
         }
     }
 
     /// Shows how the drive goes on.
-    fn show(&mut self, drive: DriveState) {
-        let time = drive.drive_time_s;
-        let time = time.map_or_else(String::new, |time| format!(" {time:5.1} s"));
-        let (mode, reason) = (drive.mode, drive.reason);
-        self.mode = Ended { mode, reason }.to_string() + &time;
-        self.overwrite();
+    fn show(&mut self, state: &Ended, drive_time_s: Option<f64>) {
+        let time = drive_time_s.map(|time_s| format!(" {time_s:5.1} s"));
+        self.mode = state.to_string() + &time.unwrap_or_default();
+        self.draw();
     }
 
     /// Shows another note beside the mode.
     fn note(&mut self, note: String) {
         if note != self.note {
             self.note = note;
-            self.overwrite();
+            self.draw();
         }
     }
 
-    fn overwrite(&self) {
-        if self.is_terminal {
-            let Self { mode, note, .. } = self;
-            // A terminal that has gone takes no output; the signal ends the drive.
-            let _ = write!(io::stderr(), "\r\x1b[K{mode}  {note}");
-        }
+    fn draw(&self) {
+        let Self { mode, note, .. } = self;
+        self.bar.set_message(format!("{mode}  {note}"));
     }
 
     /// Prints how the drive ended, and chooses the exit status.
-    fn end(&self, ended: &Ended, begun: Instant, socket: &Path) -> Result<ExitCode, ControlError> {
-        if self.is_terminal {
-            let _ = write!(io::stderr(), "\r\x1b[K");
-        }
+    fn end(
+        &self,
+        ended: &Ended,
+        begun: Instant,
+        socket: &Path,
+    ) -> Result<ExitCode, Box<dyn Error>> {
+        self.bar.finish_and_clear();
         print(&format!(
             "{} has ended after {:.1} s: {}",
             self.what,
@@ -293,10 +285,5 @@ impl Progress {
 }
 
 pub(crate) fn parse_time(text: &str) -> Result<Duration, String> {
-    let time = parse_duration(text)?;
-    if (500..=86_400_000).contains(&time.as_millis()) {
-        Ok(time)
-    } else {
-        Err("give 500ms to 24 hours, such as 60s".to_owned())
-    }
+    duration_within(text, 0.5, 86_400.0)
 }

@@ -1,9 +1,9 @@
 //! `singletrack disarm|stop`: requests to the running daemon.
 
-use std::io;
+use std::error::Error;
 
 use clap::Args;
-use singletrack_api::{ClientError, Request, ask};
+use singletrack_api::{Request, ask};
 use singletrack_figures::output;
 
 pub use crate::arguments::ControlArgs;
@@ -20,35 +20,12 @@ pub struct DisarmArgs {
     control: ControlArgs,
 }
 
-/// Why the request failed.
-#[derive(Debug, thiserror::Error)]
-pub enum ControlError {
-    /// The daemon can't be asked, or refuses.
-    #[error(transparent)]
-    Client(#[from] ClientError),
-    /// The output can't be written.
-    #[error("can't write to standard output: {0}")]
-    Output(io::Error),
-}
-
-impl From<io::Error> for ControlError {
-    fn from(error: io::Error) -> Self {
-        ClientError::from(error).into()
-    }
-}
-
-impl From<serde_json::Error> for ControlError {
-    fn from(error: serde_json::Error) -> Self {
-        ClientError::from(error).into()
-    }
-}
-
 /// Disarms, or says that the car was carried, and prints the result in words.
 ///
 /// # Errors
 ///
 /// When the daemon can't be asked, or refuses; the reason is the daemon's.
-pub fn disarm(args: &DisarmArgs) -> Result<(), ControlError> {
+pub fn disarm(args: &DisarmArgs) -> Result<(), Box<dyn Error>> {
     let request = Request::Disarm {
         at_once: false,
         carried: args.carried,
@@ -69,7 +46,7 @@ pub fn disarm(args: &DisarmArgs) -> Result<(), ControlError> {
 /// # Errors
 ///
 /// Those of [`disarm`].
-pub fn stop(args: &ControlArgs) -> Result<(), ControlError> {
+pub fn stop(args: &ControlArgs) -> Result<(), Box<dyn Error>> {
     ask(&Request::Stop {}, &args.socket)?;
     print(EMERGENCY_STOPPED)
 }
@@ -78,6 +55,7 @@ pub fn stop(args: &ControlArgs) -> Result<(), ControlError> {
 pub(crate) const EMERGENCY_STOPPED: &str = "stopped: neutral until the board is reset";
 
 /// Prints a result. A closed pipe is no error.
-pub(crate) fn print(text: &str) -> Result<(), ControlError> {
-    output::print(&format!("{text}\n")).map_err(ControlError::Output)
+pub(crate) fn print(text: &str) -> Result<(), Box<dyn Error>> {
+    let printed = output::print(&format!("{text}\n"));
+    printed.map_err(|error| format!("can't write to standard output: {error}").into())
 }

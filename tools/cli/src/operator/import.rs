@@ -36,5 +36,5 @@ pub fn run(args: &ImportArgs) -> Result<(), Box<dyn Error>> {
     });
     bar.finish_and_clear();
     let summary = result?;
-    Ok(print(&format!("{}: {summary}", args.out.display()))?)
+    print(&format!("{}: {summary}", args.out.display()))
 }

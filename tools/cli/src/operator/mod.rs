@@ -7,6 +7,7 @@ pub mod cameras;
 pub mod control;
 pub mod drive;
 pub mod dump;
+mod entries;
 pub mod fleet;
 pub mod import;
 pub mod jog;
@@ -96,8 +97,8 @@ pub fn run(command: &OperatorCommand) -> Result<ExitCode, Box<dyn Error>> {
         Of::Recover(args) => recover::run(args)?,
         Of::Replay(args) => return replay::run(args),
         Of::Status(args) => status::run(args)?,
-        Of::Arm(args) => return Ok(arm::run(args)?),
-        Of::Jog(args) => return Ok(jog::run(args)?),
+        Of::Arm(args) => return arm::run(args),
+        Of::Jog(args) => return jog::run(args),
         Of::Disarm(args) => control::disarm(args)?,
         Of::Stop(args) => control::stop(args)?,
         Of::Fleet(args) => return fleet::run(args),

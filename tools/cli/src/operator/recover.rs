@@ -33,7 +33,7 @@ pub fn run(args: &RecoverArgs) -> Result<(), Box<dyn Error>> {
         None => default_output(&args.record),
     };
     let recovery = recover(&args.record, &output)?;
-    Ok(print(&format!("{}: {recovery}", output.display()))?)
+    print(&format!("{}: {recovery}", output.display()))
 }
 
 fn recover(record: &Path, output: &Path) -> Result<Recovery, RecordError> {

@@ -34,6 +34,31 @@ pub(crate) fn wait_to_read<const N: usize>(
     }
 }
 
+/// Adds what has been typed, or has come through a pipe, to `bytes`; does not wait.
+///
+/// # Errors
+///
+/// It can't be read, or has ended: [`io::ErrorKind::UnexpectedEof`].
+pub(crate) fn read_now(bytes: &mut Vec<u8>) -> io::Result<()> {
+    let input = io::stdin();
+    if !wait_to_read([input.as_fd()], Duration::ZERO)? {
+        return Ok(());
+    }
+    let mut buffer = [0; 1_024];
+    match rustix::io::read(&input, &mut buffer) {
+        Ok(0) => {
+            let gone = "the terminal is gone";
+            Err(io::Error::new(io::ErrorKind::UnexpectedEof, gone))
+        }
+        Ok(count) => {
+            bytes.extend(buffer.iter().take(count));
+            Ok(())
+        }
+        Err(Errno::INTR | Errno::AGAIN) => Ok(()),
+        Err(error) => Err(error.into()),
+    }
+}
+
 /// A terminal that gives every key at once. Dropping it restores its settings. What was typed before
 /// either is dropped.
 pub(crate) struct RawTerminal {
@@ -54,19 +79,6 @@ impl RawTerminal {
         raw.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
         set(&input, &raw)?;
         Ok(Some(Self { input, before }))
-    }
-
-    /// Adds what has been typed, without waiting.
-    pub(crate) fn read(&self, bytes: &mut Vec<u8>) -> io::Result<()> {
-        while wait_to_read([self.input.as_fd()], Duration::ZERO)? {
-            let mut buffer = [0; 256];
-            let count = rustix::io::read(&self.input, &mut buffer)?;
-            if count == 0 {
-                return Err(io::Error::other("the terminal is gone"));
-            }
-            bytes.extend(buffer.iter().take(count));
-        }
-        Ok(())
     }
 }
 
@@ -134,11 +146,11 @@ impl Screen {
 
     /// Whether this key has been pressed since the last call.
     pub(crate) fn has_key(&mut self, key: u8) -> io::Result<bool> {
-        let Some(keys) = &self.keys else {
+        if self.keys.is_none() {
             return Ok(false);
-        };
+        }
         self.typed.clear();
-        keys.read(&mut self.typed)?;
+        read_now(&mut self.typed)?;
         Ok(self.typed.contains(&key))
     }
 }

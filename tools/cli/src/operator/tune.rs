@@ -1,21 +1,22 @@
 //! `singletrack tune`: other gains or another p, also while the car drives.
 
+use std::error::Error;
+
 use clap::Args;
 use singletrack_api::{Gain, Request, Tune, Tuning, ask};
 
-use crate::operator::control::{self, ControlArgs, ControlError};
+use crate::{
+    arguments::finite,
+    operator::control::{self, ControlArgs},
+};
 
 /// The new values.
 #[derive(Clone, Debug, Args)]
 #[command(arg_required_else_help = false)]
 pub struct TuneArgs {
     /// Gains of the position loop along x and y, in 1/s; one number is for both
-    #[arg(
-        long,
-        value_name = "X[,Y]",
-        value_parser = gains,
-        required_unless_present = "point_distance"
-    )]
+    #[arg(long, value_name = "X[,Y]", value_parser = gains)]
+    #[arg(required_unless_present = "point_distance")]
     gain: Option<[f64; 2]>,
     /// Distance p of the point P from the front axle, in m; it changes by 0.05 m/s
     #[arg(long, value_name = "M", value_parser = finite)]
@@ -29,21 +30,12 @@ fn gains(text: &str) -> Result<[f64; 2], String> {
     Ok([finite(x)?, finite(y)?])
 }
 
-/// JSON has no other numbers: the daemon would take them for absent.
-fn finite(text: &str) -> Result<f64, String> {
-    match text.trim().parse::<f64>() {
-        Ok(number) if number.is_finite() => Ok(number),
-        Ok(_) => Err("it is not finite".to_owned()),
-        Err(error) => Err(error.to_string()),
-    }
-}
-
 /// Sends the values and prints what is in force.
 ///
 /// # Errors
 ///
 /// The daemon refuses the values, with their bounds, or can't be asked.
-pub fn run(args: &TuneArgs) -> Result<(), ControlError> {
+pub fn run(args: &TuneArgs) -> Result<(), Box<dyn Error>> {
     let request = Request::Tune(Tune {
         gain_per_s: args.gain.map(Gain::Each),
         point_distance_m: args.point_distance,

@@ -22,6 +22,11 @@ use singletrack_record::{
 
 pub(crate) const START_NS: u64 = 120_000_000_000;
 
+pub(crate) const START: ClockMapping = ClockMapping {
+    monotonic_ns: START_NS,
+    wall_ns: 1_780_000_000_000_000_000,
+};
+
 pub(crate) fn telemetry(index: u8) -> Entry {
     let time = START_NS + 10_000_000 * u64::from(index);
     Entry::Telemetry(TelemetryRecord {
@@ -227,10 +232,7 @@ pub(crate) fn recorder(folder: &Path) -> (Recorder, PathBuf) {
         software: BTreeMap::new(),
         protocol_version: 1,
         seed: None,
-        start: ClockMapping {
-            monotonic_ns: START_NS,
-            wall_ns: 1_780_000_000_000_000_000,
-        },
+        start: START,
     };
     let mut recorder = Recorder::create(&path, &meta).unwrap();
     for entry in entries() {

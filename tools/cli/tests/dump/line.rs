@@ -11,8 +11,8 @@ use std::{
 
 use serde_json::Value;
 use singletrack_protocol::{
-    Acknowledgement, BoardMode, Disarm, Drive, Hello, ImuState, Refusal, RefusalReason, Request,
-    ResetCause, Sequence, Status, StopCause, Telemetry, ToBoard, ToHost, VERSION,
+    Acknowledgement, BoardMode, Hello, ImuState, Refusal, RefusalReason, Request, ResetCause,
+    Sequence, Status, StopCause, Telemetry, ToHost, VERSION,
 };
 use singletrack_sim::{Pty, SimulationConfig, World};
 
@@ -135,17 +135,6 @@ fn capture() -> Vec<u8> {
     .concat()
 }
 
-fn drive(number: u8) -> ToBoard {
-    ToBoard::Drive(Drive {
-        sequence: Sequence(number),
-        speed_mm_s: 400,
-        steering_100urad: -3_000,
-        telemetry_time_us: 10_000 * u32::from(number),
-        pose_age_ms: 12,
-        brake: false,
-    })
-}
-
 #[test]
 fn every_frame_of_a_capture_is_printed_and_what_is_broken_is_said_to_be_so() {
     let folder = tempfile::tempdir().unwrap();
@@ -197,60 +186,6 @@ fn a_capture_on_standard_input_is_printed_as_one_in_a_file() {
     let printed = std::io::read_to_string(child.stdout.take().unwrap()).unwrap();
     assert!(child.wait().unwrap().success());
     assert_case("line.json", &printed);
-}
-
-#[test]
-fn bytes_to_the_board_are_decoded_with_the_option_for_it() {
-    let folder = tempfile::tempdir().unwrap();
-    // A name that says record, and bytes that are none.
-    let path = folder.path().join("to_board.mcap");
-    let messages = [
-        ToBoard::Hello(Hello {
-            protocol_version: VERSION,
-            software_version: [0, 1, 0],
-            nonce: 3,
-        }),
-        ToBoard::Configure(singletrack_protocol::Configure {
-            request: Sequence(1),
-            configuration: singletrack_sim::default_board_configuration(),
-        }),
-        ToBoard::Arm(singletrack_protocol::Arm {
-            request: Sequence(2),
-            configuration_hash: 77,
-            telemetry_time_us: 20_000,
-        }),
-        drive(3),
-        drive(4),
-        ToBoard::Disarm(Disarm {
-            request: Sequence(5),
-        }),
-        ToBoard::EmergencyStop(singletrack_protocol::EmergencyStop {
-            request: Sequence(6),
-        }),
-    ];
-    let bytes: Vec<_> = messages
-        .iter()
-        .flat_map(|message| message.encode().as_bytes().to_vec())
-        .collect();
-    fs::write(&path, bytes).unwrap();
-    for format in ["table", "json"] {
-        let output = dump(
-            &path,
-            &["--raw", "--direction=to-board", "--format", format],
-        );
-        assert!(output.status.success());
-        assert_case(&format!("to_board.{format}"), &text(&output.stdout));
-    }
-    // The other way round, nothing but the greeting can be understood.
-    let output = dump(&path, &["--raw", "--topic=broken", "--fields=reason"]);
-    let printed = text(&output.stdout);
-    assert_eq!(
-        printed
-            .lines()
-            .filter(|line| *line == "unknown-type")
-            .count(),
-        6
-    );
 }
 
 #[test]

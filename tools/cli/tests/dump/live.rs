@@ -10,6 +10,7 @@ use std::{
 };
 
 use singletrack_core::config::{ReferenceSection, Start};
+use singletrack_record::{ClockMapping, Encoder};
 use singletrack_scenario::simulated::{Drive, daemon_config};
 use singletrack_sim::{RealTimeConfig, RealTimeSimulator, UdpConfig};
 use singletrackd::{Daemon, StartOptions};
@@ -26,15 +27,22 @@ fn what_the_daemon_sees_is_printed_as_a_record_of_it_would_be() {
             let (mut stream, _) = listener.accept().unwrap();
             let mut request = String::new();
             BufReader::new(&stream).read_line(&mut request).unwrap();
-            let mut lines = "{\"version\":1,\"ok\":true}\n\
-                             {\"topic\":\"of a newer daemon\"}\n\
-                             {\"version\":1,\"missed\":12}\n"
-                .to_owned();
+            let begun = "{\"version\":3,\"ok\":true,\"clocks\":{\"monotonic_ns\":1,\"wall_ns\":2}}\n\
+                         {\"topic\":\"of a newer daemon\",\"bytes\":0}\n\
+                         {\"version\":3,\"missed\":12}\n";
+            let mut bytes = begun.as_bytes().to_vec();
+            let mut encoder = Encoder::new(ClockMapping {
+                monotonic_ns: 1,
+                wall_ns: 2,
+            });
             for entry in entries() {
-                entry.write_json(&mut lines);
-                lines.push('\n');
+                for message in encoder.encode(&entry).unwrap() {
+                    let (topic, length) = (message.channel.topic(), message.bytes.len());
+                    bytes.extend(format!("{{\"topic\":\"{topic}\",\"bytes\":{length}}}\n").bytes());
+                    bytes.extend(message.bytes);
+                }
             }
-            stream.write_all(lines.as_bytes()).unwrap();
+            stream.write_all(&bytes).unwrap();
             request
         });
         let socket = socket.to_str().unwrap();
@@ -49,7 +57,7 @@ fn what_the_daemon_sees_is_printed_as_a_record_of_it_would_be() {
         let asked: serde_json::Value = serde_json::from_str(&daemon.join().unwrap()).unwrap();
         assert_eq!(
             asked,
-            serde_json::json!({"version": 3, "command": "watch", "topics": ["tick"]})
+            serde_json::json!({"version": 3, "command": "messages", "topics": ["/singletrack/tick"]})
         );
     }
 }

@@ -7,12 +7,13 @@ use std::{
     thread,
 };
 
-use serde_json::Value;
-use singletrack_record::Entry;
+use serde_json::{Value, json};
+use singletrack_record::{Encoder, Entry};
 
 use crate::{
     fixture::{
-        START_NS, assert_case, command, driving_tick, dump, entries, recorder, telemetry, text,
+        START, START_NS, assert_case, command, driving_tick, dump, entries, recorder, telemetry,
+        text,
     },
     pty::OnTerminal,
 };
@@ -130,12 +131,19 @@ fn what_the_daemon_tells_is_counted_until_it_goes() {
         let (mut stream, _) = listener.accept().unwrap();
         let mut request = String::new();
         BufReader::new(&stream).read_line(&mut request).unwrap();
-        let mut lines = "{\"version\":1,\"ok\":true}\n{\"version\":1,\"missed\":7}\n".to_owned();
+        let clocks = json!({ "monotonic_ns": START.monotonic_ns, "wall_ns": START.wall_ns });
+        let answer = json!({ "version": 1, "ok": true, "clocks": clocks });
+        writeln!(stream, "{answer}").unwrap();
+        writeln!(stream, "{{\"version\":1,\"missed\":7}}").unwrap();
+        let mut encoder = Encoder::new(START);
         for entry in entries() {
-            entry.write_json(&mut lines);
-            lines.push('\n');
+            for message in encoder.encode(&entry).unwrap() {
+                let head =
+                    json!({ "topic": message.channel.topic(), "bytes": message.bytes.len() });
+                writeln!(stream, "{head}").unwrap();
+                stream.write_all(message.bytes).unwrap();
+            }
         }
-        stream.write_all(lines.as_bytes()).unwrap();
     });
     let socket = socket.to_str().unwrap();
     let arguments = ["--stats", "--format=json", "--socket", socket];

@@ -9,7 +9,7 @@ use std::{
 };
 
 use serde_json::{Map, Value, json};
-use singletrack_api::{Answer, ClientError, Connection, Request, ask_for_line};
+use singletrack_api::{Answer, ClientError, Connection, Request, ask_as};
 use tokio::sync::watch;
 
 use super::setup::car;
@@ -106,8 +106,7 @@ impl Feed {
             if asked.is_none_or(|asked| asked.elapsed() >= STATUS_INTERVAL) {
                 asked = Some(Instant::now());
                 // As the daemon wrote it, which may be newer than this program.
-                let line = ask_for_line(&Request::Status {}, socket, PATIENCE)?;
-                let answer: Value = serde_json::from_str(&line)?;
+                let answer: Value = ask_as(&Request::Status {}, socket, PATIENCE)?;
                 let status = answer.get("status").unwrap_or(&Value::Null);
                 self.statuses.send_replace(event("status", status));
             }

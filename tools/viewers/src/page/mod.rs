@@ -23,4 +23,4 @@ mod setup;
 
 pub use feed::OtherCar;
 pub use request::{BadRequest, Request};
-pub use server::{Page, PageError};
+pub use server::Page;

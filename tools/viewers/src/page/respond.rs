@@ -22,53 +22,20 @@ use super::{
     setup::Setup,
 };
 
-/// A file of the page.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Asset {
-    path: &'static str,
-    pub(super) content_type: &'static str,
-    pub(super) bytes: &'static [u8],
-}
-
+const HTML: &str = "text/html; charset=utf-8";
+const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
+const SVG: &str = "image/svg+xml";
 
-const ASSETS: [Asset; 6] = [
-    Asset {
-        path: "/",
-        content_type: "text/html; charset=utf-8",
-        bytes: include_bytes!("assets/index.html"),
-    },
-    Asset {
-        path: "/page.css",
-        content_type: "text/css; charset=utf-8",
-        bytes: include_bytes!("assets/page.css"),
-    },
-    Asset {
-        path: "/page.js",
-        content_type: SCRIPT,
-        bytes: include_bytes!("assets/page.js"),
-    },
-    Asset {
-        path: "/view.js",
-        content_type: SCRIPT,
-        bytes: include_bytes!("assets/view.js"),
-    },
-    Asset {
-        path: "/chart.js",
-        content_type: SCRIPT,
-        bytes: include_bytes!("assets/chart.js"),
-    },
-    Asset {
-        path: "/icon.svg",
-        content_type: "image/svg+xml",
-        bytes: include_bytes!("assets/icon.svg"),
-    },
+/// The files of the page: path, type of the content, text.
+const ASSETS: [(&str, &str, &str); 6] = [
+    ("/", HTML, include_str!("assets/index.html")),
+    ("/page.css", CSS, include_str!("assets/page.css")),
+    ("/page.js", SCRIPT, include_str!("assets/page.js")),
+    ("/view.js", SCRIPT, include_str!("assets/view.js")),
+    ("/chart.js", SCRIPT, include_str!("assets/chart.js")),
+    ("/icon.svg", SVG, include_str!("assets/icon.svg")),
 ];
-
-/// The file at this path.
-pub(super) fn asset(path: &str) -> Option<Asset> {
-    ASSETS.into_iter().find(|asset| asset.path == path)
-}
 
 /// What all connections share.
 #[derive(Debug)]
@@ -180,8 +147,8 @@ async fn answer<'a>(
         let why = "Ask for the page by the address of the computer, or as localhost.";
         return refuse(write, FORBIDDEN, why).await;
     }
-    if let Some(asset) = asset(&request.path) {
-        return send(write, OK, asset.content_type, asset.bytes, with_body).await;
+    if let Some((_, kind, text)) = ASSETS.into_iter().find(|(path, ..)| *path == request.path) {
+        return send(write, OK, kind, text.as_bytes(), with_body).await;
     }
     if !matches!(
         request.path.as_str(),

@@ -5,12 +5,11 @@ use std::{
     net::{SocketAddr, TcpListener as StdListener},
     path::{Path, PathBuf},
     sync::Arc,
-    thread::{self, JoinHandle},
     time::Duration,
 };
 
 use singletrack_api::access::{Token, TokenFile, WaitingRoom};
-use singletrack_core::{ConfigError, config::PageSection};
+use singletrack_core::config::PageSection;
 use tokio::{
     net::TcpListener,
     runtime::{self, Runtime},
@@ -23,7 +22,7 @@ use super::{
     respond::{Shared, serve},
     setup::Setup,
 };
-use crate::daemon::Follower;
+use crate::daemon::{Follower, ServerThread};
 
 /// The largest number of connections at a time that wait for an answer, or for a request. A newer
 /// one takes the place of the oldest.
@@ -35,47 +34,12 @@ const VIEWERS: usize = 32;
 /// The pause after a connection that could not be accepted: files may be closed soon.
 const ERROR_PAUSE: Duration = Duration::from_millis(100);
 
-/// Why the page is not served.
-#[derive(Debug, thiserror::Error)]
-pub enum PageError {
-    /// The configuration is invalid.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// Another program listens on the address, or listening is not permitted.
-    #[error(
-        "can't listen on {address} for the page: {source}; choose another page.address or \
-         page.port, or give --port"
-    )]
-    Listen {
-        /// The configured address.
-        address: SocketAddr,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// The file of the token can't be written.
-    #[error(
-        "can't write the token of the page to {}: {source}; choose a page.token_file in a folder \
-         that you may write to",
-        path.display()
-    )]
-    Token {
-        /// The configured path.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// The server or a thread does not start.
-    #[error("the page's server does not start: {0}")]
-    Server(#[from] io::Error),
-}
-
 /// A page. It ends when this value is dropped.
 #[derive(Debug)]
 pub struct Page {
     /// The address that it listens on, with the port in use.
     pub address: SocketAddr,
-    stop: Arc<Notify>,
-    thread: Option<JoinHandle<()>>,
+    _server: ServerThread,
     _followers: Vec<Follower>,
     _token_file: Option<TokenFile>,
 }
@@ -92,21 +56,29 @@ impl Page {
         socket: PathBuf,
         others: Vec<OtherCar>,
         section: &PageSection,
-    ) -> Result<Self, PageError> {
-        section.validate()?;
+    ) -> Result<Self, String> {
+        section.validate().map_err(|error| error.to_string())?;
         let address = SocketAddr::new(section.address, section.port);
-        let failed = |source| PageError::Listen { address, source };
+        let failed = |error| {
+            format!(
+                "can't listen on {address} for the page: {error}; choose another page.address or \
+                 page.port, or give --port"
+            )
+        };
         let listener = StdListener::bind(address).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         let key = section.token_file.as_ref().map(|path| {
-            let failed = |source| PageError::Token {
-                path: path.clone(),
-                source,
+            let failed = |error| {
+                format!(
+                    "can't write the token of the page to {}: {error}; choose a page.token_file \
+                     in a folder that you may write to",
+                    path.display()
+                )
             };
             let token = Token::random().map_err(failed)?;
             let file = TokenFile::create(path.clone(), address, &token).map_err(failed)?;
-            Ok::<_, PageError>((token, file))
+            Ok::<_, String>((token, file))
         });
         let (token, token_file) = key.transpose()?.unzip();
         let shared = Arc::new(Shared {
@@ -115,53 +87,45 @@ impl Page {
             token,
             places: Semaphore::new(VIEWERS),
         });
-        let runtime = runtime::Builder::new_current_thread()
-            .enable_io()
-            .enable_time()
-            // For one question at a time.
-            .max_blocking_threads(1)
-            .build()?;
-        let stop = Arc::new(Notify::new());
-        let first = {
-            let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
-            let (lost, socket) = (Arc::clone(&shared), socket.clone());
-            Follower::start(
-                move || watched.feed.is_watched(),
-                move || followed.feed.follow(&socket),
-                move |why| lost.feed.lost(&why),
-            )?
+        let started = || {
+            let first = {
+                let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
+                let (lost, socket) = (Arc::clone(&shared), socket.clone());
+                Follower::start(
+                    move || watched.feed.is_watched(),
+                    move || followed.feed.follow(&socket),
+                    move |why| lost.feed.lost(&why),
+                )?
+            };
+            let mut followers = vec![first];
+            for (index, other) in others.into_iter().enumerate() {
+                let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
+                followers.push(Follower::start(
+                    move || watched.feed.is_watched(),
+                    move || followed.feed.follow_other(index, &other),
+                    |_| {},
+                )?);
+            }
+            let runtime = runtime::Builder::new_current_thread()
+                .enable_io()
+                .enable_time()
+                // For one question at a time.
+                .max_blocking_threads(1)
+                .build()?;
+            let shared = Arc::clone(&shared);
+            let server = ServerThread::start("page", move |stop| {
+                run(runtime, listener, &socket, &shared, stop);
+            })?;
+            Ok((server, followers))
         };
-        let mut followers = vec![first];
-        for (index, other) in others.into_iter().enumerate() {
-            let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
-            followers.push(Follower::start(
-                move || watched.feed.is_watched(),
-                move || followed.feed.follow_other(index, &other),
-                |_| {},
-            )?);
-        }
-        let thread = thread::Builder::new().name("page".to_owned()).spawn({
-            let stop = Arc::clone(&stop);
-            move || run(runtime, listener, &socket, &shared, &stop)
-        })?;
+        let (server, followers) = started()
+            .map_err(|error: io::Error| format!("the page's server does not start: {error}"))?;
         Ok(Self {
             address,
-            stop,
-            thread: Some(thread),
+            _server: server,
             _followers: followers,
             _token_file: token_file,
         })
-    }
-}
-
-impl Drop for Page {
-    fn drop(&mut self) {
-        self.stop.notify_one();
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the page's thread has panicked");
-        }
     }
 }
 

@@ -3,15 +3,12 @@
 mod rejection;
 mod source;
 
-use core::sync::atomic::Ordering;
-
 use singletrack_api::{Answer, Code, Refused};
 use singletrack_control::Time;
 use singletrack_core::setpoint::{SetpointCommand, code};
 
 use crate::{clock::monotonic_ns, handle::DaemonHandle};
 
-pub(crate) use rejection::SetpointCounters;
 pub use rejection::SetpointFigures;
 pub(super) use rejection::unreadable;
 pub(crate) use source::SetpointSource;
@@ -32,15 +29,14 @@ impl SetpointStream {
         daemon: &DaemonHandle,
         command: &SetpointCommand,
     ) -> Option<Answer> {
-        let timeout = daemon.reconfigurer.setpoint_timeout();
+        let timeout = daemon.reconfigurer.published().setpoint_timeout();
         // Held until it is passed on, so that the newest one is also the last one in the slot.
         let mut newest = daemon.source.lock();
         if let Err(rejected) = self.admit(command, &mut newest, Time(monotonic_ns()), timeout) {
             return Some(reject(daemon, &rejected));
         }
         daemon.setpoints.pass(command);
-        let counters = &daemon.status.setpoints;
-        counters.accepted.fetch_add(1, Ordering::Relaxed);
+        daemon.status.latest().tally.figures.setpoints.accepted += 1;
         None
     }
 
@@ -88,7 +84,8 @@ impl SetpointStream {
 
 /// Counts a rejected set-point. Returns the answer.
 pub(super) fn reject(daemon: &DaemonHandle, rejected: &Refused) -> Answer {
-    daemon.status.setpoints.reject(rejected.code);
+    let mut latest = daemon.status.latest();
+    latest.tally.figures.setpoints.reject(rejected.code);
     Answer {
         rejected: true,
         ..Answer::refusal(rejected.clone())

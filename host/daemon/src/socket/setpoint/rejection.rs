@@ -1,7 +1,6 @@
 //! The count of the set-points that have no effect.
 
-use core::sync::atomic::AtomicU64;
-use std::{collections::BTreeMap, sync::atomic::Ordering};
+use std::collections::BTreeMap;
 
 use serde::Serialize;
 use serde_json::Value;
@@ -19,59 +18,15 @@ pub struct SetpointFigures {
     pub refused: BTreeMap<&'static str, u64>,
 }
 
-/// Counts set-points.
-#[derive(Debug, Default)]
-pub(crate) struct SetpointCounters {
-    pub(super) accepted: AtomicU64,
-    rejected: [AtomicU64; Code::OF_SETPOINTS.len()],
-    refused: [AtomicU64; SetpointRefusal::ALL.len()],
-}
-
-impl SetpointCounters {
-    /// The counts so far.
-    pub(crate) fn figures(&self) -> SetpointFigures {
-        SetpointFigures {
-            accepted: self.accepted.load(Ordering::Relaxed),
-            rejected: counted(Code::OF_SETPOINTS.map(Code::name), &self.rejected),
-            refused: counted(
-                SetpointRefusal::ALL.map(SetpointRefusal::name),
-                &self.refused,
-            ),
-        }
-    }
-
-    pub(super) fn reject(&self, why: Code) {
-        count(&Code::OF_SETPOINTS, &self.rejected, &why);
+impl SetpointFigures {
+    pub(super) fn reject(&mut self, why: Code) {
+        *self.rejected.entry(why.name()).or_default() += 1;
     }
 
     /// The pilot refused one that was accepted.
-    pub(crate) fn refuse(&self, why: SetpointRefusal) {
-        count(&SetpointRefusal::ALL, &self.refused, &why);
+    pub(crate) fn refuse(&mut self, why: SetpointRefusal) {
+        *self.refused.entry(why.name()).or_default() += 1;
     }
-}
-
-fn count<T: PartialEq>(all: &[T], counters: &[AtomicU64], which: &T) {
-    for (_, counter) in all
-        .iter()
-        .zip(counters)
-        .filter(|(other, _)| *other == which)
-    {
-        counter.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
-fn counted<const N: usize>(
-    names: [&'static str; N],
-    counters: &[AtomicU64; N],
-) -> BTreeMap<&'static str, u64> {
-    let counts = counters
-        .iter()
-        .map(|counter| counter.load(Ordering::Relaxed));
-    names
-        .into_iter()
-        .zip(counts)
-        .filter(|(_, count)| *count > 0)
-        .collect()
 }
 
 /// Why a line that does not parse is rejected as a set-point; `None` if it is none.
@@ -116,19 +71,29 @@ mod tests {
 
     #[test]
     fn every_rejection_and_refusal_is_counted_by_its_word() {
-        let counters = SetpointCounters::default();
-        for (count, why) in (1..).zip(Code::OF_SETPOINTS) {
+        let mut figures = SetpointFigures::default();
+        let codes = [
+            Code::Invalid,
+            Code::NotFinite,
+            Code::OutOfRange,
+            Code::Future,
+            Code::Old,
+            Code::Sequence,
+            Code::OtherSource,
+            Code::NotExternal,
+        ];
+        for (count, why) in (1..).zip(codes) {
             for _ in 0..count {
-                counters.reject(why);
+                figures.reject(why);
             }
         }
         for (count, why) in (1..).zip(SetpointRefusal::ALL) {
             for _ in 0..count {
-                counters.refuse(why);
+                figures.refuse(why);
             }
         }
         assert_eq!(
-            serde_json::to_value(counters.figures()).unwrap(),
+            serde_json::to_value(figures).unwrap(),
             json!({
                 "accepted": 0,
                 "rejected": {

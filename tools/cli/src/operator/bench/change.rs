@@ -10,7 +10,8 @@ use singletrack_commissioning::{
     edit::{Edit, EditError},
 };
 
-use super::{ANSWER, Entries, LiveBench, WAIT};
+use super::{ANSWER, LiveBench, TOPICS, WAIT};
+use crate::operator::entries::Entries;
 
 impl LiveBench {
     /// What has changed in the configuration's file since the start, as a unified diff.
@@ -89,7 +90,7 @@ impl LiveBench {
         }
         let asked = Instant::now();
         loop {
-            match Entries::watch(&self.socket) {
+            match Entries::watch(&self.socket, TOPICS.to_vec()) {
                 Ok(entries) => {
                     self.entries = entries;
                     self.heard = Instant::now();

@@ -34,14 +34,14 @@ impl LiveBench {
         }
         if drive.ended.is_some() {
             // Without a renewal it would end half a second later.
-            let _ = drive.held.send(&Request::DISARM);
+            let _ = drive.held.connection.send(&Request::DISARM);
             return;
         }
         if let Err(error) = drive.held.renew() {
             drive.ended = Some(error.to_string());
         }
         loop {
-            match drive.held.received() {
+            match drive.held.connection.receive() {
                 Ok(None) => return,
                 Ok(Some(Reply::Ended { ended, .. })) => {
                     let why = ended.reason.unwrap_or("the drive has ended".into());
@@ -68,7 +68,8 @@ impl LiveBench {
         if let Some(ended) = &drive.ended {
             return Err(Refused(ended.clone()));
         }
-        drive.held.send(request).map_err(Refused::because)
+        let sent = drive.held.connection.send(request);
+        sent.map_err(Refused::because)
     }
 
     /// Waits until the operator holds the space bar, which must have been released before.

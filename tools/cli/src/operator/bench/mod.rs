@@ -2,7 +2,6 @@
 //! `bring-up` and `calibrate` run on.
 
 mod change;
-mod entries;
 mod held;
 mod journal;
 mod procedures;
@@ -27,10 +26,13 @@ use singletrack_commissioning::{
 use singletrack_control::{Position, Velocity};
 use singletrack_core::Config;
 use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel};
-use singletrack_record::{Entry, LinkPhase};
+use singletrack_record::{Entry, LinkPhase, Topic};
 
-use crate::{arguments::ConfiguredSocket, interrupt::Interrupt};
-use entries::Entries;
+use crate::{
+    arguments::ConfiguredSocket,
+    interrupt::Interrupt,
+    operator::entries::{Entries, Heard},
+};
 use held::BenchDrive;
 use terminal::Terminal;
 
@@ -77,6 +79,9 @@ const WAIT: Duration = Duration::from_millis(20);
 /// Time until a request that was refused is tried again.
 const AGAIN: Duration = Duration::from_millis(300);
 
+/// The topics that are watched.
+const TOPICS: [Topic; 4] = [Topic::Tick, Topic::Telemetry, Topic::Status, Topic::Pose];
+
 /// The longest wait for an answer of the daemon.
 const ANSWER: Duration = Duration::from_secs(5);
 
@@ -122,7 +127,7 @@ impl LiveBench {
         Ok(Self {
             reported,
             uncalibrated: args.uncalibrated,
-            entries: Entries::watch(&socket)?,
+            entries: Entries::watch(&socket, TOPICS.to_vec())?,
             socket,
             path: args.config.clone(),
             config,
@@ -153,9 +158,9 @@ impl LiveBench {
             return Err(Interrupted::ByOperator);
         }
         self.renew();
-        let entry = self.entries.next(WAIT);
-        let entry = entry.map_err(|error| Interrupted::DaemonGone(error.to_string()))?;
-        if entry.is_some() {
+        let next = self.entries.next(WAIT);
+        let next = next.map_err(|error| Interrupted::DaemonGone(error.to_string()))?;
+        if next.is_some() {
             self.heard = Instant::now();
         } else if self.heard.elapsed() > SILENCE {
             return Err(Interrupted::DaemonGone(format!(
@@ -163,7 +168,11 @@ impl LiveBench {
                 SILENCE.as_secs()
             )));
         }
-        Ok(entry)
+        Ok(match next {
+            Some(Heard::Entry(entry)) => Some(*entry),
+            // What was missed is not observed.
+            Some(Heard::Missed(_)) | None => None,
+        })
     }
 
     /// Puts a question and waits for its answer; `watched` is whether the daemon must be there
@@ -277,11 +286,10 @@ impl Bench for LiveBench {
         self.release_key();
         // The connection stays until its drive has ended: its end would be another stop.
         match &mut self.drive {
-            Some(drive) => drive.held.send(&Request::DISARM).map_err(Refused::because),
-            None => ask(&Request::DISARM, &self.socket)
-                .map(drop)
-                .map_err(Refused::because),
+            Some(drive) => drive.held.connection.send(&Request::DISARM),
+            None => ask(&Request::DISARM, &self.socket).map(drop),
         }
+        .map_err(Refused::because)
     }
 
     fn emergency_stop(&mut self) -> Result<(), Refused> {

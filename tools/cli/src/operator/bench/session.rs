@@ -87,7 +87,7 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, Box<dyn 
             Timestamp::now(),
         ),
         json: args.json,
-        bar: bench.terminal.bar(),
+        bar: bench.terminal.bar.clone(),
     };
     let is_resumed = procedure
         .steps

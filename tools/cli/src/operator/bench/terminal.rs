@@ -2,17 +2,15 @@
 
 use std::{
     io::{self, Write as _},
-    os::fd::AsFd as _,
     time::{Duration, Instant},
 };
 
 use indicatif::ProgressBar;
-use rustix::io::Errno;
 use serde_json::{Value, json};
 use singletrack_commissioning::{Answer, Answers, Live, Question};
 
 use crate::{
-    operator::terminal::{RawTerminal, wait_to_read},
+    operator::terminal::{RawTerminal, read_now},
     progress::progress_bar,
 };
 
@@ -24,7 +22,7 @@ const REPEAT: Duration = Duration::from_millis(250);
 /// Standard input, standard error and, for programs, standard output.
 pub(super) struct Terminal {
     json: bool,
-    bar: ProgressBar,
+    pub(super) bar: ProgressBar,
     line: Vec<u8>,
     held: Option<HeldKey>,
 }
@@ -57,11 +55,6 @@ impl Terminal {
         } else {
             self.bar.suspend(|| eprintln!("{text}"));
         }
-    }
-
-    /// The progress bar, for lines that others print: they clear it before.
-    pub(super) fn bar(&self) -> ProgressBar {
-        self.bar.clone()
     }
 
     /// A line for programs.
@@ -118,10 +111,7 @@ impl Terminal {
             let line: Vec<u8> = self.line.drain(..=end).collect();
             return Ok(Some(String::from_utf8_lossy(&line).into_owned()));
         }
-        let mut buffer = [0; 1_024];
-        let count = read_now(&mut buffer)?;
-        self.line
-            .extend_from_slice(buffer.get(..count).unwrap_or_default());
+        read_now(&mut self.line)?;
         Ok(None)
     }
 
@@ -165,9 +155,9 @@ impl Terminal {
 
     /// Whether a press of the space bar has arrived; another key is none.
     pub(super) fn is_pressed(&mut self) -> io::Result<bool> {
-        let mut buffer = [0; 256];
-        let count = read_now(&mut buffer)?;
-        let pressed = buffer.get(..count).unwrap_or_default().contains(&b' ');
+        let mut typed = Vec::new();
+        read_now(&mut typed)?;
+        let pressed = typed.contains(&b' ');
         if pressed && let Some(held) = &mut self.held {
             held.repeats |= held.presses > 0 && held.pressed.elapsed() < REPEAT;
             held.presses = held.presses.saturating_add(1);
@@ -202,20 +192,6 @@ impl Drop for Terminal {
     fn drop(&mut self) {
         self.release_key();
         self.bar.finish_and_clear();
-    }
-}
-
-/// What has arrived on standard input; its end is an error.
-fn read_now(buffer: &mut [u8]) -> io::Result<usize> {
-    let input = io::stdin();
-    if !wait_to_read([input.as_fd()], Duration::ZERO)? {
-        return Ok(0);
-    }
-    match rustix::io::read(input.as_fd(), buffer) {
-        Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
-        Ok(count) => Ok(count),
-        Err(Errno::INTR | Errno::AGAIN) => Ok(0),
-        Err(error) => Err(error.into()),
     }
 }
 

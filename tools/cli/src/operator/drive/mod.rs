@@ -25,13 +25,13 @@ use singletrack_control::{Time, Velocity, direction};
 use singletrack_core::{config::ReferenceSection, reasons::Why};
 use singletrackd::monotonic_ns;
 
-use crate::interrupt::Interrupt;
 use crate::operator::{
     arm::ended_as_wanted,
-    control::{ControlArgs, ControlError, EMERGENCY_STOPPED, print},
+    control::{ControlArgs, EMERGENCY_STOPPED, print},
     set_reference::read_reference,
     terminal::wait_to_read,
 };
+use crate::{arguments::duration_within, interrupt::Interrupt};
 use device::Source;
 use pad::{Driver, Pad, PadEvent, PadNote, PadRequest};
 
@@ -107,7 +107,7 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, Box<dyn Error>> {
     if !(args.speed > 0.0 && args.speed <= 5.0) {
         return Err(format!("--speed is {}: give above 0, to 5", args.speed).into());
     }
-    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
+    let interrupt = Interrupt::listen()?;
     let (source, state) = Source::open(&args.pad)
         .map_err(|error| format!("can't open the pad {}: {error}", args.pad.display()))?;
     let reference = args.reference.as_deref().map(read_reference).transpose()?;
@@ -200,7 +200,7 @@ impl DriveSession<'_> {
         let mut was_driving = false;
         loop {
             let inputs = [source.as_fd(), self.session.as_fd(), self.watch.as_fd()];
-            wait_to_read(inputs, WAIT).map_err(ControlError::from)?;
+            wait_to_read(inputs, WAIT)?;
             // The pad first: nothing else may delay a stop.
             if !self.pad.is_lost {
                 source.read(&mut events);
@@ -368,7 +368,7 @@ impl DriveSession<'_> {
     fn refused(&mut self, error: &str) -> Result<(), Box<dyn Error>> {
         self.pad.ended();
         self.stage = Stage::Off;
-        Ok(print(error)?)
+        print(error)
     }
 
     /// Handles a line of the session.
@@ -383,7 +383,7 @@ impl DriveSession<'_> {
                     Some(word) => Why::of_word("host", &word).text.into(),
                     None => ended.mode,
                 };
-                return Ok(print(&format!("the drive has ended: {why}"))?);
+                return print(&format!("the drive has ended: {why}"));
             }
             _ => return Ok(()),
         };
@@ -449,10 +449,5 @@ fn restore(socket: &Path) {
 }
 
 fn parse_silence(text: &str) -> Result<Duration, String> {
-    let micros = singletrack_sim::parse_duration_us(text).map_err(|error| error.to_string())?;
-    if (200_000..=60_000_000).contains(&micros) {
-        Ok(Duration::from_micros(micros))
-    } else {
-        Err("give 200ms to 60s".to_owned())
-    }
+    duration_within(text, 0.2, 60.0)
 }

@@ -67,7 +67,7 @@ impl<'a, W: Write> Printer<'a, W> {
         kinds: &'a [Kind],
         wanted: &[String],
         entries: bool,
-    ) -> Result<Self, DumpError> {
+    ) -> Result<Self, String> {
         for name in wanted {
             check_field(kinds, name)?;
         }

@@ -10,12 +10,8 @@ use std::{
     time::Instant,
 };
 
-use clap::ValueEnum;
 use singletrack_protocol::{
-    Acknowledgement, Arm, Configuration, Configure, DecodeError, Decoder, Disarm, Drive,
-    EmergencyStop, EscKind, FailsafeAction, FrameError, Hello, Identity, ImuAxis, Jog,
-    MAX_PAYLOAD_LENGTH, Packet, Refusal, RefusalReason, Request, Sequence, Status, Telemetry,
-    ToBoard, ToHost, VERSION,
+    DecodeError, Decoder, FrameError, MAX_PAYLOAD_LENGTH, Packet, ToHost, VERSION,
 };
 use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Topic, Value};
 use singletrackd::serial_port::{self, ReadHalf};
@@ -28,16 +24,6 @@ use super::{
 };
 use crate::operator::terminal::wait_to_read;
 
-/// The direction of the bytes on the line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum Direction {
-    /// From the board to the host: what a serial port receives.
-    #[default]
-    ToHost,
-    /// From the host to the board.
-    ToBoard,
-}
-
 /// How much is read at once.
 const READ_LENGTH: usize = 64 << 10;
 /// No more bytes than this of something broken are shown.
@@ -45,197 +31,121 @@ const SHOWN_BYTES: usize = 64;
 /// A board whose clock went back by more than this has restarted.
 const RESTART_US: i32 = -1_000_000;
 
-/// The form of a field in which it is printed.
-trait Show {
-    fn show(&self) -> Value;
-}
-
-macro_rules! show {
-    ($($($type:ty),* => |$value:ident| $shown:expr;)*) => {$($(
-        impl Show for $type {
-            fn show(&self) -> Value {
-                let $value = self;
-                $shown
-            }
-        }
-    )*)*};
-}
-
-show! {
-    bool => |value| Value::Bool(*value);
-    u16, u32 => |value| Value::Unsigned((*value).into());
-    i16 => |value| Value::Signed((*value).into());
-    Sequence => |value| Value::Unsigned(value.0.into());
-    EscKind, FailsafeAction, ImuAxis, RefusalReason, Request =>
-        |value| Value::Text(value.name().into());
-    // A version.
-    [u8; 3] => |value| Value::Text(value.map(|part| part.to_string()).join(".").into());
-}
-
-/// The fields of a message, by their names.
-trait Fields {
-    /// Gives each to `field`.
-    fn fields(&self, field: &mut dyn FnMut(&str, Value));
-}
-
-macro_rules! fields {
-    ($($message:ident: $($first:ident $(. $next:ident)*),*;)*) => {$(
-        impl Fields for $message {
-            fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
-                $(field(
-                    concat!(stringify!($first) $(, ".", stringify!($next))*),
-                    self.$first $(. $next)* .show(),
-                );)*
-            }
-        }
-    )*};
-}
-
-fields! {
-    Hello: protocol_version, software_version, nonce;
-    Acknowledgement: request, sequence, configuration_hash;
-    Refusal: request, sequence, reason;
-    Identity: car_id;
-    Configuration: esc.kind, servo.centre_us, servo.gain_us_per_rad, servo.min_us, servo.max_us,
-        servo.slew_us_per_20ms, esc.neutral_us, esc.deadband_us, esc.min_us, esc.max_us,
-        esc.slew_us_per_20ms, esc.brake_us, speed.pulse_distance_um, speed.feed_forward_us_per_m_s,
-        speed.proportional_us_per_m_s, speed.integral_us_per_m, speed.integral_limit_us,
-        speed.max_forward_mm_s, speed.max_reverse_mm_s, failsafe, max_pose_age_ms, stop_input,
-        kill_output, max_roll_out_ms, car_id, imu_axes.forward, imu_axes.left, imu_axes.up;
-    Arm: request, configuration_hash, telemetry_time_us;
-    Disarm: request;
-    EmergencyStop: request;
-    Drive: sequence, speed_mm_s, steering_100urad, telemetry_time_us, pose_age_ms, brake;
-    Jog: sequence, telemetry_time_us, servo_us, esc_us;
-}
-
-impl Fields for Configure {
-    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
-        field("request", self.request.show());
-        field("configuration_hash", self.configuration.hash().show());
-        self.configuration.fields(field);
-    }
-}
-
-impl Fields for Entry {
-    /// The fields that come over the line: all from the board's clock on. The host adds those
-    /// before.
-    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
-        let names = self.topic().fields();
-        let fields = names.iter().zip(self.values());
-        for (name, value) in fields.skip_while(|(name, _)| *name != "board_time_us") {
-            field(name, value);
-        }
-    }
-}
-
-impl Fields for Telemetry {
-    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
-        let record = TelemetryRecord {
-            receive_time_ns: 0,
-            board_time_host_ns: 0,
-            imu_time_host_ns: None,
-            telemetry: *self,
-        };
-        Entry::Telemetry(record).fields(field);
-    }
-}
-
-impl Fields for Status {
-    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
-        let record = StatusRecord {
-            receive_time_ns: 0,
-            status: *self,
-        };
-        Entry::Status(record).fields(field);
-    }
-}
-
-impl Fields for Broken {
-    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
-        let mut bytes: Vec<_> = self
-            .bytes
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
-        if bytes.len() == SHOWN_BYTES {
-            bytes.push("...".to_owned());
-        }
-        field("reason", Value::Text(self.reason.into()));
-        field("detail", Value::Text(self.detail.clone().into()));
-        field("bytes", Value::Text(bytes.join(" ").into()));
-    }
-}
-
 impl Content {
-    /// The name of its kind, and its fields.
-    const fn message(&self) -> (&'static str, &dyn Fields) {
+    /// The name of its kind.
+    const fn name(&self) -> &'static str {
         match self {
-            Self::ToHost(ToHost::Hello(hello)) | Self::ToBoard(ToBoard::Hello(hello)) => {
-                ("hello", hello)
+            Self::Message(ToHost::Hello(_)) => "hello",
+            Self::Message(ToHost::Telemetry(_)) => Topic::Telemetry.name(),
+            Self::Message(ToHost::Status(_)) => Topic::Status.name(),
+            Self::Message(ToHost::Acknowledgement(_)) => "acknowledgement",
+            Self::Message(ToHost::Refusal(_)) => "refusal",
+            Self::Message(ToHost::Identity(_)) => "identity",
+            Self::Broken(_) => "broken",
+        }
+    }
+
+    /// Its fields, by their names.
+    fn fields(&self) -> Vec<(String, Value)> {
+        let number = |name: &str, number: u32| (name.to_owned(), Value::Unsigned(number.into()));
+        let word = |name: &str, word: &'static str| (name.to_owned(), Value::Text(word.into()));
+        let text = |name: &str, text: String| (name.to_owned(), Value::Text(text.into()));
+        match self {
+            Self::Message(ToHost::Hello(hello)) => {
+                let version = hello.software_version.map(|part| part.to_string());
+                vec![
+                    number("protocol_version", hello.protocol_version.into()),
+                    text("software_version", version.join(".")),
+                    number("nonce", hello.nonce),
+                ]
             }
-            Self::ToHost(ToHost::Telemetry(telemetry)) => (Topic::Telemetry.name(), telemetry),
-            Self::ToHost(ToHost::Status(status)) => (Topic::Status.name(), status),
-            Self::ToHost(ToHost::Acknowledgement(answer)) => ("acknowledgement", answer),
-            Self::ToHost(ToHost::Refusal(answer)) => ("refusal", answer),
-            Self::ToHost(ToHost::Identity(identity)) => ("identity", identity),
-            Self::ToBoard(ToBoard::Configure(configure)) => ("configure", configure),
-            Self::ToBoard(ToBoard::Arm(arm)) => ("arm", arm),
-            Self::ToBoard(ToBoard::Disarm(disarm)) => ("disarm", disarm),
-            Self::ToBoard(ToBoard::Drive(drive)) => ("drive", drive),
-            Self::ToBoard(ToBoard::EmergencyStop(stop)) => ("emergency-stop", stop),
-            Self::ToBoard(ToBoard::Jog(jog)) => ("jog", jog),
-            Self::Broken(broken) => ("broken", broken),
+            Self::Message(ToHost::Telemetry(telemetry)) => {
+                of_entry(&Entry::Telemetry(TelemetryRecord {
+                    receive_time_ns: 0,
+                    board_time_host_ns: 0,
+                    imu_time_host_ns: None,
+                    telemetry: *telemetry,
+                }))
+            }
+            Self::Message(ToHost::Status(status)) => of_entry(&Entry::Status(StatusRecord {
+                receive_time_ns: 0,
+                status: *status,
+            })),
+            Self::Message(ToHost::Acknowledgement(answer)) => vec![
+                word("request", answer.request.name()),
+                number("sequence", answer.sequence.0.into()),
+                number("configuration_hash", answer.configuration_hash),
+            ],
+            Self::Message(ToHost::Refusal(answer)) => vec![
+                word("request", answer.request.name()),
+                number("sequence", answer.sequence.0.into()),
+                word("reason", answer.reason.name()),
+            ],
+            Self::Message(ToHost::Identity(identity)) => {
+                vec![number("car_id", identity.car_id.into())]
+            }
+            Self::Broken(broken) => {
+                let bytes = broken.bytes.iter().map(|byte| format!("{byte:02x}"));
+                let mut bytes: Vec<_> = bytes.collect();
+                if bytes.len() == SHOWN_BYTES {
+                    bytes.push("...".to_owned());
+                }
+                vec![
+                    word("reason", broken.reason),
+                    text("detail", broken.detail.clone()),
+                    text("bytes", bytes.join(" ")),
+                ]
+            }
         }
     }
 
     /// The board's clock when it was made, if the message holds it: in µs, wrapping.
     const fn board_time_us(&self) -> Option<u32> {
         match self {
-            Self::ToHost(ToHost::Telemetry(telemetry)) => Some(telemetry.board_time_us),
-            Self::ToHost(ToHost::Status(status)) => Some(status.board_time_us),
-            Self::ToBoard(ToBoard::Drive(drive)) => Some(drive.telemetry_time_us),
-            Self::ToBoard(ToBoard::Jog(jog)) => Some(jog.telemetry_time_us),
-            Self::ToBoard(ToBoard::Arm(arm)) => Some(arm.telemetry_time_us),
+            Self::Message(ToHost::Telemetry(telemetry)) => Some(telemetry.board_time_us),
+            Self::Message(ToHost::Status(status)) => Some(status.board_time_us),
             _ => None,
         }
     }
 }
 
-fn decode(direction: Direction, packet: Packet<'_>) -> Result<Content, DecodeError> {
-    match direction {
-        Direction::ToHost => ToHost::decode(packet).map(Content::ToHost),
-        Direction::ToBoard => ToBoard::decode(packet).map(Content::ToBoard),
-    }
+/// The fields that come over the line: all from the board's clock on. The host adds those before.
+fn of_entry(entry: &Entry) -> Vec<(String, Value)> {
+    let fields = entry.topic().fields().into_iter().zip(entry.values());
+    fields
+        .skip_while(|(name, _)| name != "board_time_us")
+        .collect()
 }
 
-/// The kinds of frames in a direction, by their type bytes, then what is broken. Every one has an
-/// offset and a length.
-pub(super) fn kinds(direction: Direction) -> Vec<Kind> {
+/// The kinds of frames, by their type bytes, then what is broken. Every one has an offset and a
+/// length.
+pub(super) fn kinds() -> Vec<Kind> {
     // Zeros are a payload of every message.
     let zeros = [0; MAX_PAYLOAD_LENGTH];
-    let example = |kind: u8| match decode(direction, Packet { kind, payload: &[] }) {
+    let example = |kind: u8| match ToHost::decode(Packet { kind, payload: &[] }) {
         Err(DecodeError::Length { expected, .. }) => {
             let payload = zeros.get(..expected)?;
-            decode(direction, Packet { kind, payload }).ok()
+            ToHost::decode(Packet { kind, payload }).ok()
         }
         other => other.ok(),
     };
-    let broken = broken("", String::new(), &[]);
-    let examples = (0..=u8::MAX).filter_map(example).chain([broken]);
+    let messages = (0..=u8::MAX).filter_map(example).map(Content::Message);
     let kind = |content: Content| {
-        let (name, message) = content.message();
-        let mut fields = vec!["offset".to_owned(), "length".to_owned()];
-        message.fields(&mut |name, _| fields.push(name.to_owned()));
+        let own = content.fields().into_iter().map(|(name, _)| name);
+        let fields = ["offset", "length"]
+            .map(str::to_owned)
+            .into_iter()
+            .chain(own);
         let brief = match content {
-            Content::ToHost(ToHost::Telemetry(_)) => {
+            Content::Message(ToHost::Telemetry(_)) => {
                 &format!("offset length board_time_us {TELEMETRY}")
             }
             _ => "",
         };
-        Kind::new(name, fields, brief)
+        Kind::new(content.name(), fields.collect(), brief)
     };
-    examples.map(kind).collect()
+    let broken = broken("", String::new(), &[]);
+    messages.chain([broken]).map(kind).collect()
 }
 
 fn broken(reason: &'static str, detail: String, bytes: &[u8]) -> Content {
@@ -261,7 +171,6 @@ pub(super) struct Line<'a> {
     input: Input,
     clock: Clock,
     kinds: &'a [Kind],
-    direction: Direction,
     follow: bool,
     received: Vec<u8>,
     /// The next byte in `received`.
@@ -328,21 +237,15 @@ impl Input {
     }
 
     /// A capture with this name: a file, or standard input.
-    pub(super) fn capture(name: &str, file: io::Result<File>) -> Result<Self, DumpError> {
+    pub(super) fn capture(name: &str, file: io::Result<File>) -> Result<Self, String> {
         file.map(Self::File)
             .map_err(|error| unreadable(name, &error))
     }
 }
 
 impl<'a> Line<'a> {
-    /// The frames of `kinds`, which are those of the direction.
-    pub(super) fn new(
-        name: String,
-        input: Input,
-        direction: Direction,
-        kinds: &'a [Kind],
-        follow: bool,
-    ) -> Self {
+    /// The frames of `kinds`, which are those of the line.
+    pub(super) fn new(name: String, input: Input, kinds: &'a [Kind], follow: bool) -> Self {
         let clock = match input {
             Input::Serial(_) => Clock::Arrival {
                 start: Instant::now(),
@@ -358,7 +261,6 @@ impl<'a> Line<'a> {
             input,
             clock,
             kinds,
-            direction,
             follow,
             received: Vec::new(),
             at: 0,
@@ -412,8 +314,8 @@ impl<'a> Line<'a> {
                 return Some(broken(reason, error.to_string(), &self.bytes));
             }
         };
-        let content = match decode(self.direction, packet) {
-            Ok(content) => content,
+        let content = match ToHost::decode(packet) {
+            Ok(message) => Content::Message(message),
             Err(error) => {
                 let reason = match error {
                     DecodeError::UnknownType(_) => "unknown-type",
@@ -423,9 +325,7 @@ impl<'a> Line<'a> {
                 broken(reason, error.to_string(), &self.bytes)
             }
         };
-        if let Content::ToHost(ToHost::Hello(hello)) | Content::ToBoard(ToBoard::Hello(hello)) =
-            &content
-        {
+        if let Content::Message(ToHost::Hello(hello)) = &content {
             let version = hello.protocol_version;
             self.other_version = (version != VERSION).then_some(version);
         } else if let Some(version) = self.other_version {
@@ -453,8 +353,8 @@ impl<'a> Line<'a> {
 }
 
 /// The bytes of the line can't be read.
-fn unreadable(name: &str, error: &io::Error) -> DumpError {
-    DumpError::Other(format!("can't read {name}: {error}"))
+fn unreadable(name: &str, error: &io::Error) -> String {
+    format!("can't read {name}: {error}")
 }
 
 impl Source for Line<'_> {
@@ -472,15 +372,16 @@ impl Source for Line<'_> {
             }
             if matches!(self.input, Input::File(_)) && self.whole == 0 {
                 let Self { name, taken, .. } = self;
-                return Err(DumpError::Other(format!(
-                    "{name} holds no whole frame of the protocol in {taken} bytes: name a capture of \
-                     the serial line (--direction says which way the bytes went), or a record (*.mcap \
-                     or *.mcap.part)"
-                )));
+                let why = format!(
+                    "{name} holds no whole frame of the protocol in {taken} bytes: name a \
+                     capture of the serial line from the board, or a record (*.mcap or \
+                     *.mcap.part)"
+                );
+                return Err(why.into());
             }
             return Ok(Next::End);
         };
-        let (name, _) = found.content.message();
+        let name = found.content.name();
         let kind = self.kinds.iter().position(|kind| kind.name == name);
         let time_ns = self.clock.date(&found.content);
         self.found = Some(found);
@@ -522,7 +423,7 @@ impl Source for Line<'_> {
         self.received.truncate(length);
         match read {
             Err(error) if error.kind() != io::ErrorKind::Interrupted => {
-                Err(unreadable(&self.name, &error))
+                Err(unreadable(&self.name, &error).into())
             }
             _ => Ok(()),
         }
@@ -539,8 +440,7 @@ impl Source for Line<'_> {
         values.clear();
         if let Some(found) = &self.found {
             values.extend([found.offset, found.length].map(Value::Unsigned));
-            let (_, message) = found.content.message();
-            message.fields(&mut |_, value| values.push(value));
+            values.extend(found.content.fields().into_iter().map(|(_, value)| value));
         }
         Ok(())
     }

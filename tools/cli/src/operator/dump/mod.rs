@@ -10,6 +10,7 @@ mod source;
 mod stats;
 
 use std::{
+    error::Error,
     fs::File,
     io::{self, IsTerminal, Write},
     os::fd::AsFd as _,
@@ -22,39 +23,19 @@ use format::Printer;
 use line::{Input, Line};
 use moment::Range;
 use select::Filter;
-use singletrack_api::ClientError;
 use singletrack_core::config::SerialSection;
-use singletrack_record::{RecordError, Topic, Value};
-use singletrackd::serial_port::PortError;
+use singletrack_record::{Topic, Value};
 use source::{Close, Kind, Live, Next, Place, Record, Row, Source};
 use stats::Stats;
 
 use crate::{arguments::parse_duration, interrupt::Interrupt, operator::control::ControlArgs};
 
 pub use format::Format;
-pub use line::Direction;
-pub use moment::{Moment, ParseTimeError};
+pub use moment::Moment;
 pub use select::Condition;
 
-/// Why a dump failed.
-#[derive(Debug, thiserror::Error)]
-pub enum DumpError {
-    /// The record can't be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The serial port can't be opened.
-    #[error(transparent)]
-    Port(#[from] PortError),
-    /// The connection to the daemon broke.
-    #[error(transparent)]
-    Lost(#[from] ClientError),
-    /// The output can't be written.
-    #[error("can't write to standard output: {0}")]
-    Output(#[from] io::Error),
-    /// Anything else: a text which says what to do.
-    #[error("{0}")]
-    Other(String),
-}
+/// Why a dump failed, in words for the user.
+pub type DumpError = Box<dyn Error>;
 
 /// Options of `singletrack dump`.
 #[derive(Clone, Debug, Args)]
@@ -132,14 +113,6 @@ pub struct DumpArgs {
     #[arg(long, default_value_t = SerialSection::new("").baud)]
     pub baud: u32,
 
-    /// The direction of the bytes on the line.
-    #[arg(long, value_enum, default_value_t)]
-    pub direction: Direction,
-
-    /// Read SOURCE as a capture of the line's bytes, whatever its name and contents.
-    #[arg(long)]
-    pub raw: bool,
-
     /// Where `live` is.
     #[command(flatten)]
     pub control: ControlArgs,
@@ -154,7 +127,7 @@ impl DumpArgs {
     fn place(&self) -> Place {
         match (&self.serial, &self.source) {
             (Some(port), _) => Place::Serial(port.clone()),
-            (None, Some(path)) => Place::of(path, self.raw),
+            (None, Some(path)) => Place::of(path),
             (None, None) => Place::Stdin,
         }
     }
@@ -215,9 +188,12 @@ pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
         } else {
             Format::Csv
         });
-    match dump(args, format, stdout.lock()) {
-        Err(DumpError::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        other => other,
+    let Err(error) = dump(args, format, stdout.lock()) else {
+        return Ok(());
+    };
+    match *error.downcast::<io::Error>()? {
+        error if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        error => Err(format!("can't write to standard output: {error}").into()),
     }
 }
 
@@ -229,15 +205,14 @@ pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
 /// output can't be written.
 pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), DumpError> {
     if args.stats && format == Format::Csv {
-        let text = "--stats has no csv: use --format table or --format json";
-        return Err(DumpError::Other(text.to_owned()));
+        return Err("--stats has no csv: use --format table or --format json".into());
     }
     let place = args.place();
     let of_record = matches!(place, Place::Record(_) | Place::Live);
     let mut kinds = if of_record {
         Kind::topics()
     } else {
-        line::kinds(args.direction)
+        line::kinds()
     };
     let topics = match args.topic.as_slice() {
         [] if of_record && !args.stats => &[Topic::Telemetry.name().to_owned()],
@@ -266,8 +241,7 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     filter.range = range.since(source, &place.to_string())?;
     let end = args.duration.map(|duration| Instant::now() + duration);
     let interrupt = if args.stats {
-        Interrupt::listen()
-            .map_err(|error| DumpError::Other(format!("can't listen for Ctrl-C: {error}")))?
+        Interrupt::listen()?
     } else {
         // Ctrl-C ends the process, as it ends others.
         Interrupt::default()
@@ -392,6 +366,6 @@ fn open<'a>(
             (Input::capture(&name, file)?, false)
         }
     };
-    let line = Line::new(name, input, args.direction, kinds, follow);
+    let line = Line::new(name, input, kinds, follow);
     Ok(Box::new(line))
 }

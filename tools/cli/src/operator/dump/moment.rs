@@ -4,10 +4,7 @@ use std::{fmt, str::FromStr};
 
 use jiff::Timestamp;
 
-use super::{
-    DumpError,
-    source::{Source, Span},
-};
+use super::source::{Source, Span};
 
 /// A time within a record.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,36 +15,26 @@ pub enum Moment {
     WallNs(i64),
 }
 
-/// Why a text is not a time.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ParseTimeError {
-    /// It is neither a number of seconds nor a date with time and zone.
-    #[error(
-        "not a time: {0:?}; use seconds since the start (12.5), or date, time and zone (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
-    )]
-    NoTime(String),
-    /// It is before the start.
-    #[error("there is nothing before the start: give 0 or more seconds since the start")]
-    Negative,
-}
-
 impl FromStr for Moment {
-    type Err = ParseTimeError;
+    type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, ParseTimeError> {
+    fn from_str(text: &str) -> Result<Self, String> {
         if let Some(seconds) = text
             .parse()
             .ok()
             .filter(|seconds: &f64| seconds.is_finite())
         {
             if seconds < 0.0 {
-                return Err(ParseTimeError::Negative);
+                return Err("there is nothing before the start: give 0 or more seconds".to_owned());
             }
             return Ok(Self::Seconds(seconds));
         }
-        wall_ns(text)
-            .map(Self::WallNs)
-            .ok_or_else(|| ParseTimeError::NoTime(text.to_owned()))
+        wall_ns(text).map(Self::WallNs).ok_or_else(|| {
+            format!(
+                "not a time: {text:?}; use seconds since the start (12.5), or date, time and zone \
+                 (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
+            )
+        })
     }
 }
 
@@ -125,7 +112,7 @@ pub(super) struct Range {
 
 impl Range {
     /// Refuses a range that ends before it begins, as far as that is known without the source.
-    pub(super) fn check_order(self, span: Option<Span>) -> Result<(), DumpError> {
+    pub(super) fn check_order(self, span: Option<Span>) -> Result<(), String> {
         match (self.from, self.to) {
             (Some(from), Some(to)) if from.is_after(to) => Err(backwards(from, to, span)),
             _ => Ok(()),
@@ -137,7 +124,7 @@ impl Range {
         self,
         source: &dyn Source,
         name: &str,
-    ) -> Result<(Option<i64>, Option<i64>), DumpError> {
+    ) -> Result<(Option<i64>, Option<i64>), String> {
         let span = source.span();
         self.check_order(span)?;
         let start_wall_ns = source.start_wall_ns();
@@ -167,18 +154,17 @@ impl Range {
         }
         let from_ns = since(self.from, "from", &|ns, span| ns > span.last_ns);
         let to_ns = since(self.to, "to", &|ns, span| ns < span.first_ns);
-        let range = from_ns.and_then(|from_ns| Ok((from_ns, to_ns?)));
-        range.map_err(DumpError::Other)
+        Ok((from_ns?, to_ns?))
     }
 }
 
 /// The range ends before it begins. `span` are the times of the record, if they are known.
-fn backwards(from: Moment, to: Moment, span: Option<Span>) -> DumpError {
+fn backwards(from: Moment, to: Moment, span: Option<Span>) -> String {
     let of_record = span.map(|span| format!("; the entries of the record are from {span}"));
-    DumpError::Other(format!(
+    format!(
         "--from {from} is after --to {to}: give the earlier time to --from{}",
         of_record.unwrap_or_default()
-    ))
+    )
 }
 
 #[cfg(test)]
@@ -230,7 +216,8 @@ mod tests {
     #[test]
     fn there_is_nothing_before_the_start() {
         for text in ["-1", "-0.001"] {
-            assert_eq!(text.parse::<Moment>(), Err(ParseTimeError::Negative));
+            let error = text.parse::<Moment>().unwrap_err();
+            assert!(error.contains("nothing before the start"), "{error}");
         }
     }
 

@@ -4,21 +4,18 @@ use std::{cmp::Ordering, str::FromStr};
 
 use singletrack_record::{Topic, Value};
 
-use super::{
-    DumpError,
-    source::{Kind, Row, TIME},
-};
+use super::source::{Kind, Row, TIME};
 
 /// Chooses the kinds with these names; all if there are no names.
-pub(super) fn choose(kinds: &mut [Kind], names: &[String]) -> Result<(), DumpError> {
+pub(super) fn choose(kinds: &mut [Kind], names: &[String]) -> Result<(), String> {
     let unknown = |name: &&String| !kinds.iter().any(|kind| kind.is_named(name));
     if let Some(name) = names.iter().find(unknown) {
         let known: Vec<_> = kinds.iter().map(|kind| kind.name).collect();
-        return Err(DumpError::Other(format!(
+        return Err(format!(
             "there is no topic {name:?}{}: use {}",
             near(name, &known),
             known.join(", ")
-        )));
+        ));
     }
     for kind in kinds {
         kind.chosen = names.is_empty() || names.iter().any(|name| kind.is_named(name));
@@ -27,7 +24,7 @@ pub(super) fn choose(kinds: &mut [Kind], names: &[String]) -> Result<(), DumpErr
 }
 
 /// Refuses a field that none of the chosen kinds has.
-pub(super) fn check_field(kinds: &[Kind], name: &str) -> Result<(), DumpError> {
+pub(super) fn check_field(kinds: &[Kind], name: &str) -> Result<(), String> {
     let chosen: Vec<_> = kinds.iter().filter(|kind| kind.chosen).collect();
     if chosen.iter().any(|kind| kind.index(name).is_some()) {
         return Ok(());
@@ -40,12 +37,12 @@ pub(super) fn check_field(kinds: &[Kind], name: &str) -> Result<(), DumpError> {
     }
     known.push(TIME);
     let topics: Vec<_> = chosen.iter().map(|kind| kind.name).collect();
-    Err(DumpError::Other(format!(
+    Err(format!(
         "{} has no field {name:?}{}; its fields are {}",
         topics.join(", "),
         near(name, &known),
         known.join(", ")
-    )))
+    ))
 }
 
 /// A question for the name that was probably meant, if one is near.
@@ -191,7 +188,7 @@ impl Condition {
     }
 
     /// Refuses a word that the field never has in the chosen kinds.
-    fn check_word(&self, kinds: &[Kind]) -> Result<(), DumpError> {
+    fn check_word(&self, kinds: &[Kind]) -> Result<(), String> {
         let Self { field, wanted, .. } = self;
         let mut known: Vec<String> = Vec::new();
         let has_field = |kind: &&Kind| kind.chosen && kind.index(field).is_some();
@@ -211,10 +208,10 @@ impl Condition {
         if known.is_empty() {
             return Ok(());
         }
-        Err(DumpError::Other(format!(
+        Err(format!(
             "{field} is never {wanted:?}; it is one of {}",
             known.join(", ")
-        )))
+        ))
     }
 }
 
@@ -231,7 +228,7 @@ pub(super) struct Filter<'a> {
 const DISORDER_NS: i64 = 1_000_000_000;
 
 impl<'a> Filter<'a> {
-    pub(super) fn new(kinds: &[Kind], conditions: &'a [Condition]) -> Result<Self, DumpError> {
+    pub(super) fn new(kinds: &[Kind], conditions: &'a [Condition]) -> Result<Self, String> {
         for condition in conditions {
             check_field(kinds, &condition.field)?;
             condition.check_word(kinds)?;

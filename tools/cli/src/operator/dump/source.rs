@@ -5,19 +5,19 @@ use std::{
     fmt,
     fs::File,
     io::Read,
-    os::{fd::AsFd as _, unix::fs::FileTypeExt},
+    os::unix::fs::FileTypeExt,
     path::{Path, PathBuf},
     thread,
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
-use singletrack_api::{ClientError, Connection, Request};
-use singletrack_protocol::{ToBoard, ToHost};
+use singletrack_api::ClientError;
+use singletrack_protocol::ToHost;
 use singletrack_record::{Ending, Entry, Reader, Recorded, Topic, Value};
 use singletrackd::monotonic_ns;
 
 use super::DumpError;
-use crate::operator::terminal::wait_to_read;
+use crate::operator::entries::{Entries, Heard};
 
 /// The field that every row has beside its own: seconds since the start of the
 /// record, of the capture, or of listening.
@@ -96,8 +96,15 @@ impl Kind {
     }
 }
 
-/// How long the daemon may take to answer.
-const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+/// Time between two looks at what the daemon sends.
+const LIVE: Duration = Duration::from_millis(10);
+
+/// The topics of the chosen kinds.
+fn chosen(kinds: &[Kind]) -> Vec<Topic> {
+    let topics = Topic::ALL.into_iter().zip(kinds);
+    let chosen = topics.filter(|(_, kind)| kind.chosen);
+    chosen.map(|(topic, _)| topic).collect()
+}
 
 /// A record, finished or not. For printing, its messages become text without an [`Entry`] between.
 pub(super) struct Record {
@@ -110,11 +117,7 @@ pub(super) struct Record {
 impl Record {
     /// Opens a record to read the chosen kinds.
     pub(super) fn open(path: &Path, kinds: &[Kind], follow: bool) -> Result<Self, DumpError> {
-        let topics = Topic::ALL.into_iter().zip(kinds);
-        let chosen: Vec<_> = topics
-            .filter_map(|(topic, kind)| kind.chosen.then_some(topic))
-            .collect();
-        let reader = Reader::open(path)?.only(&chosen);
+        let reader = Reader::open(path)?.only(&chosen(kinds));
         Ok(Self {
             name: path.display().to_string(),
             start_wall_ns: reader.meta.start.wall_ns,
@@ -188,8 +191,8 @@ impl Source for Record {
 /// The entries that the running daemon sends.
 pub(super) struct Live {
     path: PathBuf,
-    connection: Connection,
-    entry: Option<Entry>,
+    entries: Entries,
+    entry: Option<Box<Entry>>,
     start_ns: u64,
     start_wall_ns: Option<u64>,
     missed: u64,
@@ -198,69 +201,14 @@ pub(super) struct Live {
 impl Live {
     /// Subscribes to the chosen kinds, and waits until the daemon agrees.
     pub(super) fn connect(path: &Path, kinds: &[Kind]) -> Result<Self, DumpError> {
-        let chosen = kinds.iter().filter(|kind| kind.chosen);
-        let topics = chosen.map(|kind| kind.name.to_owned()).collect();
-        let mut connection = Connection::open(path, ANSWER_TIMEOUT).map_err(unreachable)?;
-        connection.send(&Request::Watch { topics })?;
-        let mut live = Self {
+        Ok(Self {
             path: path.to_owned(),
-            connection,
+            entries: Entries::watch(path, chosen(kinds))?,
             entry: None,
             start_ns: monotonic_ns(),
             start_wall_ns: wall_ns(),
             missed: 0,
-        };
-        let answer = live.connection.receive_within(ANSWER_TIMEOUT)?;
-        let answer: serde_json::Value =
-            answer.ok_or_else(|| ClientError::silent(path, ANSWER_TIMEOUT))?;
-        match (&answer["ok"], answer["error"].as_str()) {
-            (serde_json::Value::Bool(true), _) => Ok(live),
-            (_, Some(error)) => {
-                let path = path.display();
-                let text = format!("the daemon at {path} refuses: {error}");
-                Err(DumpError::Other(text))
-            }
-            _ => Err(live.not_understood(&format!("no answer: {answer}"))),
-        }
-    }
-
-    fn not_understood(&self, reason: &str) -> DumpError {
-        let path = self.path.display();
-        DumpError::Other(format!(
-            "can't understand the daemon at {path}: {reason}; use the singletrack of its release"
-        ))
-    }
-
-    /// The entry of a line; none if the line is not one, or of a topic that this program lacks.
-    fn take(&mut self, line: &serde_json::Value) -> Result<Option<Entry>, DumpError> {
-        if let Some(count) = line["missed"].as_u64() {
-            self.missed += count;
-            eprintln!(
-                "singletrack: {}: {count} entries of all topics missed: \
-                 what is printed is not taken as fast as they come",
-                self.path.display()
-            );
-            return Ok(None);
-        }
-        match line["topic"].as_str().map(str::parse) {
-            Some(Ok(topic)) => Entry::from_json(topic, line)
-                .map(Some)
-                .map_err(|reason| self.not_understood(&format!("{topic}: {reason}"))),
-            // A newer daemon may have more topics than this program.
-            Some(Err(_)) => Ok(None),
-            None => Err(self.not_understood(&format!("without a topic: {line}"))),
-        }
-    }
-}
-
-fn unreachable(error: ClientError) -> DumpError {
-    match error {
-        ClientError::Connect { path, source } => DumpError::Other(format!(
-            "can't reach the daemon at {}: {source}; start singletrackd, or name its socket with \
-             --socket",
-            path.display()
-        )),
-        other => other.into(),
+        })
     }
 }
 
@@ -271,27 +219,33 @@ impl Source for Live {
 
     fn next(&mut self) -> Result<Next, DumpError> {
         loop {
-            let line = match self.connection.receive() {
-                Ok(Some(line)) => line,
+            match self.entries.next(Duration::ZERO) {
                 Ok(None) => return Ok(Next::Pending),
+                Ok(Some(Heard::Entry(entry))) => {
+                    let time_ns = entry.time_ns().wrapping_sub(self.start_ns);
+                    let kind = self.entry.insert(entry).topic().index();
+                    return Ok(Next::Row(Row {
+                        kind,
+                        time_ns: Some(time_ns.cast_signed()),
+                    }));
+                }
+                Ok(Some(Heard::Missed(count))) => {
+                    self.missed += count;
+                    eprintln!(
+                        "singletrack: {}: {count} entries of all topics missed: \
+                         what is printed is not taken as fast as they come",
+                        self.path.display()
+                    );
+                }
                 Err(ClientError::Ended) => return Ok(Next::End),
                 Err(error) => return Err(error.into()),
-            };
-            self.entry = self.take(&line)?;
-            if let Some(entry) = &self.entry {
-                let time_ns = entry.time_ns().wrapping_sub(self.start_ns);
-                return Ok(Next::Row(Row {
-                    kind: entry.topic().index(),
-                    time_ns: Some(time_ns.cast_signed()),
-                }));
             }
         }
     }
 
     fn wait(&mut self) -> Result<(), DumpError> {
-        wait_to_read([self.connection.as_fd()], PATIENCE)
-            .map(drop)
-            .map_err(|error| DumpError::Lost(error.into()))
+        thread::sleep(LIVE);
+        Ok(())
     }
 
     fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError> {
@@ -302,7 +256,7 @@ impl Source for Live {
     }
 
     fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
-        *values = self.entry.as_ref().map(Entry::values).unwrap_or_default();
+        *values = self.entry.as_deref().map(Entry::values).unwrap_or_default();
         Ok(())
     }
 
@@ -346,13 +300,10 @@ const MCAP_MAGIC: [u8; 5] = *b"\x89MCAP";
 
 impl Place {
     /// The source with this name.
-    pub(super) fn of(path: &Path, raw: bool) -> Self {
+    pub(super) fn of(path: &Path) -> Self {
         let name = path.to_string_lossy();
         if path.as_os_str() == "-" {
             return Self::Stdin;
-        }
-        if raw {
-            return Self::Raw(path.to_owned());
         }
         if path.as_os_str() == "live" {
             return Self::Live;
@@ -472,9 +423,7 @@ pub(super) trait Source {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Content {
     /// A message of the board.
-    ToHost(ToHost),
-    /// A message of the host.
-    ToBoard(ToBoard),
+    Message(ToHost),
     /// No frame.
     Broken(Broken),
 }

@@ -196,6 +196,7 @@ fn histogram(durations: &Distribution) -> Vec<Bucket> {
 }
 
 /// Counts the rows of the chosen kinds.
+#[derive(Default)]
 pub(super) struct Stats<'a> {
     kinds: &'a [Kind],
     /// The arrivals of each kind.
@@ -218,23 +219,15 @@ pub(super) struct Stats<'a> {
 impl<'a> Stats<'a> {
     /// `brief`: whether the page leaves out the distributions.
     pub(super) fn new(kinds: &'a [Kind], brief: bool) -> Self {
+        let report = Report {
+            brief,
+            ..Report::default()
+        };
         Self {
             kinds,
             arrivals: vec![Arrivals::default(); kinds.len()],
-            first_ns: None,
-            last_ns: None,
-            telemetry: None,
-            telemetry_gap: Gap::new(),
-            status: None,
-            frame_number: None,
-            valid_ns: None,
-            between_valid: Gap::new(),
-            lateness_us: Vec::new(),
-            capture_to_command_us: Vec::new(),
-            report: Report {
-                brief,
-                ..Report::default()
-            },
+            report,
+            ..Self::default()
         }
     }
 
@@ -251,11 +244,11 @@ impl<'a> Stats<'a> {
         match message {
             Message::Entry(Entry::Tick(tick)) => self.add_tick(time_ns, tick),
             Message::Entry(Entry::Telemetry(TelemetryRecord { telemetry, .. }))
-            | Message::Frame(Content::ToHost(ToHost::Telemetry(telemetry))) => {
+            | Message::Frame(Content::Message(ToHost::Telemetry(telemetry))) => {
                 self.add_telemetry(time_ns, telemetry);
             }
             Message::Entry(Entry::Status(StatusRecord { status, .. }))
-            | Message::Frame(Content::ToHost(ToHost::Status(status))) => self.add_status(status),
+            | Message::Frame(Content::Message(ToHost::Status(status))) => self.add_status(status),
             Message::Entry(Entry::Pose(observation)) => self.add_pose(time_ns, observation),
             // The count since the record began.
             Message::Entry(Entry::Drops(drops)) => {

@@ -19,7 +19,7 @@ use crate::{
     interrupt::Interrupt,
     operator::{
         arm::{ended_as_wanted, is_wanted, parse_time, warn},
-        control::{ControlError, print},
+        control::print,
     },
 };
 
@@ -134,7 +134,7 @@ fn line(status: &Status, clock: &ClockOffset) -> String {
 }
 
 fn watch(fleet: &Fleet) -> Result<(), Box<dyn Error>> {
-    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
+    let interrupt = Interrupt::listen()?;
     let is_terminal = io::stdout().is_terminal();
     let mut drawn = 0;
     while !interrupt.is_raised() {
@@ -142,8 +142,7 @@ fn watch(fleet: &Fleet) -> Result<(), Box<dyn Error>> {
         lines.extend(failures);
         if is_terminal && drawn > 0 {
             // Over the last ones.
-            let up = write!(io::stdout(), "\x1b[{drawn}A\x1b[J");
-            up.map_err(ControlError::Output)?;
+            write!(io::stdout(), "\x1b[{drawn}A\x1b[J")?;
         }
         drawn = lines.len();
         print(&lines.join("\n"))?;
@@ -171,7 +170,7 @@ pub(super) struct FleetArmArgs {
 
 /// Arms all cars, if all are ready, and holds their drives until all have ended.
 fn arm(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, Box<dyn Error>> {
-    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
+    let interrupt = Interrupt::listen()?;
     let options = FleetArm {
         start_in: args.start_in,
         together: args.together,

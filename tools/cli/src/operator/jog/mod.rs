@@ -2,11 +2,7 @@
 
 pub mod keys;
 
-use std::{
-    io::{self, Write as _},
-    process::ExitCode,
-    time::Duration,
-};
+use std::{error::Error, process::ExitCode, time::Duration};
 
 use clap::Args;
 use singletrack_api::{Arm, Attendance, RENEWAL, Request};
@@ -18,8 +14,8 @@ use keys::{Keyboard, Pulses, next_key};
 use crate::interrupt::Interrupt;
 use crate::operator::{
     arm::{Drive, parse_time},
-    control::{ControlArgs, ControlError},
-    terminal::RawTerminal,
+    control::ControlArgs,
+    terminal::{RawTerminal, read_now},
 };
 
 /// Options of `singletrack jog`.
@@ -52,13 +48,13 @@ const KEYS: Duration = Duration::from_millis(40);
 /// # Errors
 ///
 /// When the board can't be armed, or the connection is lost; the reason is the daemon's.
-pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
+pub fn run(args: &JogArgs) -> Result<ExitCode, Box<dyn Error>> {
     let interrupt = Interrupt::listen()?;
     // Before the board is armed: without a terminal it is not.
     let keyboard = args.keys.then(open_keyboard).transpose()?;
     let interval = if keyboard.is_some() { KEYS } else { RENEWAL };
     let mut drive = Drive::connect(&args.control, "jogging", interval)?;
-    drive.send(&Request::Arm(Arm {
+    drive.held.connection.send(&Request::Arm(Arm {
         attendance: Some(Attendance::Hold),
         jog: true,
         ..Arm::default()
@@ -67,28 +63,26 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
         servo_us: args.servo_us,
         esc_us: args.esc_us,
     };
-    let Some(terminal) = keyboard else {
+    // It takes keys one by one until it is dropped.
+    let Some(_terminal) = keyboard else {
         return drive.attend(&interrupt, &request(begun), args.time);
     };
     let mut keyboard = Keyboard::new(begun, Time(monotonic_ns()));
     let mut bytes = Vec::new();
-    let ended = drive.attend_with(&interrupt, args.time, || {
-        terminal.read(&mut bytes)?;
+    drive.attend_with(&interrupt, args.time, || {
+        read_now(&mut bytes)?;
         let now = Time(monotonic_ns());
         while let Some(key) = next_key(&mut bytes) {
             keyboard.handle(now, key);
         }
         let pulses = keyboard.pulses(now);
         Ok(pulses.map(|pulses| (request(pulses), note(pulses, keyboard.throttle_us))))
-    });
-    let _ = writeln!(io::stderr());
-    ended
+    })
 }
 
-fn open_keyboard() -> Result<RawTerminal, ControlError> {
+fn open_keyboard() -> Result<RawTerminal, Box<dyn Error>> {
     RawTerminal::open()?.ok_or_else(|| {
-        let what = "--keys needs a terminal: the repetition of a held key is the dead-man switch";
-        io::Error::other(what).into()
+        "--keys needs a terminal: the repetition of a held key is the dead-man switch".into()
     })
 }
 

@@ -2,74 +2,42 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use clap::Args;
+use clap::{ArgGroup, Args};
 use singletrack_api::Setpoint;
 
-use crate::arguments::parse_duration;
+use crate::arguments::{finite, parse_duration};
 
 /// What the car should do; without any of these, the set-points of standard input.
 #[derive(Clone, Debug, Default, Args)]
+#[command(
+    group(ArgGroup::new("steers").requires("drives").conflicts_with("trajectory")),
+    group(ArgGroup::new("drives").requires("steers")),
+)]
 pub(super) struct DemandArgs {
     /// Velocity of P, in m/s, in the frame of the cameras
-    #[arg(
-        long,
-        num_args = 2,
-        value_names = ["VX", "VY"],
-        value_parser = finite,
-        conflicts_with_all = ["steers", "drives", "trajectory"]
-    )]
+    #[arg(long, num_args = 2, value_names = ["VX", "VY"], value_parser = finite)]
+    #[arg(conflicts_with_all = ["steers", "drives", "trajectory"])]
     velocity: Option<Vec<f64>>,
 
     /// Position of P as well, in m: the outer loop tracks it
-    #[arg(
-        long,
-        num_args = 2,
-        value_names = ["X", "Y"],
-        value_parser = finite,
-        requires = "velocity"
-    )]
+    #[arg(long, num_args = 2, value_names = ["X", "Y"], value_parser = finite)]
+    #[arg(requires = "velocity")]
     position: Option<Vec<f64>>,
 
     /// Steering angle in place of the law, in rad; positive to the left
-    #[arg(
-        long,
-        value_name = "RAD",
-        value_parser = finite,
-        group = "steers",
-        requires = "drives",
-        conflicts_with = "trajectory"
-    )]
+    #[arg(long, value_name = "RAD", value_parser = finite, group = "steers")]
     steering: Option<f64>,
 
     /// Steering rate in place of the angle, in rad/s
-    #[arg(
-        long,
-        value_name = "RAD_S",
-        value_parser = finite,
-        group = "steers",
-        requires = "drives",
-        conflicts_with = "trajectory"
-    )]
+    #[arg(long, value_name = "RAD_S", value_parser = finite, group = "steers")]
     steering_rate: Option<f64>,
 
     /// Speed of the centre of mass, in m/s; negative in reverse
-    #[arg(
-        long,
-        value_name = "M_S",
-        value_parser = finite,
-        group = "drives",
-        requires = "steers"
-    )]
+    #[arg(long, value_name = "M_S", value_parser = finite, group = "drives")]
     speed: Option<f64>,
 
     /// Change of the speed in place of the speed, in m/s2
-    #[arg(
-        long,
-        value_name = "M_S2",
-        value_parser = finite,
-        group = "drives",
-        requires = "steers"
-    )]
+    #[arg(long, value_name = "M_S2", value_parser = finite, group = "drives")]
     acceleration: Option<f64>,
 
     /// File of a trajectory of P, CSV or JSON
@@ -95,13 +63,6 @@ impl DemandArgs {
             ..Setpoint::default()
         };
         (setpoint != Setpoint::default()).then_some(setpoint)
-    }
-}
-
-fn finite(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(number) if number.is_finite() => Ok(number),
-        _ => Err("write a finite number, such as 0.5".to_owned()),
     }
 }
 

@@ -8,17 +8,15 @@ mod trajectory;
 
 use std::{
     error::Error,
-    io::{self, BufRead, BufReader, Write},
-    net::Shutdown,
-    os::unix::net::UnixStream,
-    path::Path,
-    sync::mpsc::{self, Receiver, Sender},
+    io, iter, mem,
+    path::{Path, PathBuf},
+    sync::mpsc::{self, RecvTimeoutError},
     thread,
     time::{Duration, Instant},
 };
 
 use clap::Args;
-use singletrack_api::{Answer, ClientError, Request, Setpoint, ask, connect, explain};
+use singletrack_api::{Answer, ClientError, Connection, Request, Setpoint, ask, explain};
 use singletrackd::monotonic_ns;
 
 use crate::operator::control::ControlArgs;
@@ -64,67 +62,57 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// Interval of the set-points of the options: four within the usual time-out.
 const PERIOD: Duration = Duration::from_millis(50);
 
-/// Where the set-points come from.
-enum Source {
-    /// The lines of standard input.
-    Input,
-    /// One, for a time or for ever.
-    Constant {
-        setpoint: Setpoint,
-        lasts: Option<Duration>,
-    },
-    /// The points of a file.
-    Trajectory(TrajectoryFile),
-}
+/// The longest wait for the next set-point, so that an answer is not looked at late.
+const WAIT: Duration = Duration::from_millis(20);
 
-impl Source {
-    fn of(args: &DemandArgs) -> Result<Self, String> {
-        if let Some(file) = &args.trajectory {
-            let way = TrajectoryFile::read(file)
-                .map_err(|error| format!("{}: {error}", file.display()))?;
-            return Ok(Self::Trajectory(way));
-        }
-        let lasts = args.lasts;
-        Ok(args
-            .setpoint()
-            .map_or(Self::Input, |setpoint| Self::Constant { setpoint, lasts }))
+/// Set-points one by one, when it is time for each; or why one can't be read.
+type Setpoints = Box<dyn Iterator<Item = Result<Setpoint, String>> + Send>;
+
+/// The set-points that the options ask for.
+fn setpoints(args: &DemandArgs, socket: PathBuf) -> Result<Setpoints, String> {
+    if let Some(file) = &args.trajectory {
+        let way =
+            TrajectoryFile::read(file).map_err(|error| format!("{}: {error}", file.display()))?;
+        return Ok(Box::new(paced(follow(way, socket))));
     }
+    Ok(match args.setpoint() {
+        Some(setpoint) => Box::new(paced(repeat(setpoint, args.lasts))),
+        None => Box::new(input()),
+    })
 }
 
-/// Gives the same set-point again and again.
-fn repeat(events: &Sender<Event>, setpoint: &Setpoint, lasts: Option<Duration>) {
-    let begun = Instant::now();
-    let goes_on = |_: &Setpoint| lasts.is_none_or(|lasts| begun.elapsed() < lasts);
-    give_all(
-        events,
-        std::iter::repeat(setpoint.clone()).take_while(goes_on),
-    );
+/// The set-points of `next`, each after [`PERIOD`].
+fn paced(
+    mut next: impl FnMut() -> Option<Setpoint>,
+) -> impl Iterator<Item = Result<Setpoint, String>> {
+    let mut pause = Duration::ZERO;
+    iter::from_fn(move || {
+        thread::sleep(mem::replace(&mut pause, PERIOD));
+        next().map(Ok)
+    })
 }
 
-/// Gives one set-point after the other, each after [`PERIOD`], until there is none or nobody takes
-/// them any more.
-fn give_all(events: &Sender<Event>, setpoints: impl Iterator<Item = Setpoint>) {
-    for setpoint in setpoints {
-        if !give(events, setpoint) {
-            return;
-        }
-        thread::sleep(PERIOD);
-    }
-    let _ = events.send(Event::Input(Ok(())));
-}
-
-/// Gives the next points of a trajectory, from its first point until its last one is over. The
-/// car stands at the first one until it drives.
-fn follow(events: &Sender<Event>, way: &TrajectoryFile, socket: &Path) {
+/// The same set-point again and again, for a time or for ever.
+fn repeat(setpoint: Setpoint, lasts: Option<Duration>) -> impl FnMut() -> Option<Setpoint> {
     let mut begun = None;
-    let setpoints = std::iter::from_fn(|| {
+    move || {
+        let begun = begun.get_or_insert_with(Instant::now);
+        let goes_on = lasts.is_none_or(|lasts| begun.elapsed() < lasts);
+        goes_on.then(|| setpoint.clone())
+    }
+}
+
+/// The next points of a trajectory, from its first point until its last one is over. The car stands
+/// at the first one until it drives.
+fn follow(way: TrajectoryFile, socket: PathBuf) -> impl FnMut() -> Option<Setpoint> {
+    let mut begun = None;
+    move || {
         let now_ns = monotonic_ns();
-        if begun.is_none() && is_driving(socket) {
+        if begun.is_none() && is_driving(&socket) {
             begun = Some(now_ns);
         }
         way.window(begun.unwrap_or(now_ns + LEAD_NS), now_ns)
-    });
-    give_all(events, setpoints);
+    }
 }
 
 /// How far in the future a trajectory begins that waits for the car, ns: the daemon takes one
@@ -140,18 +128,19 @@ fn is_driving(socket: &Path) -> bool {
     })
 }
 
-/// Hands a set-point over, decided now unless it says when; false if nobody takes it any more.
-fn give(events: &Sender<Event>, mut setpoint: Setpoint) -> bool {
-    setpoint.time_ns.get_or_insert_with(monotonic_ns);
-    events.send(Event::Setpoint(setpoint)).is_ok()
-}
-
-/// An event on standard input or on the socket.
-enum Event {
-    Setpoint(Setpoint),
-    Input(Result<(), String>),
-    Answer(String),
-    Closed(io::Result<()>),
+/// The set-points of standard input.
+fn input() -> impl Iterator<Item = Result<Setpoint, String>> {
+    let lines = (1_u64..).zip(iter::from_fn(|| io::stdin().lines().next()));
+    lines.filter_map(|(number, line)| match line {
+        Ok(line) if line.trim().is_empty() => None,
+        Ok(line) => Some(setpoint(&line).map_err(|reason| {
+            format!(
+                "line {number}: {line:?} is not a set-point: {reason}; write VX VY, or VX VY X Y, \
+                 or a JSON object such as {{\"steering_rad\":0.1,\"speed_m_s\":0.5}}"
+            )
+        })),
+        Err(error) => Some(Err(format!("can't read standard input: {error}"))),
+    })
 }
 
 /// Sends the set-points of the options, or those of standard input, until their end.
@@ -160,105 +149,57 @@ enum Event {
 ///
 /// The first one that is not a set-point, or that the daemon refuses.
 pub fn run(args: &SetpointArgs) -> Result<(), Box<dyn Error>> {
-    let source = Source::of(&args.demand)?;
-    let mut stream = connect(&args.control.socket)?;
-    let prepared = || -> io::Result<UnixStream> {
-        stream.set_write_timeout(Some(PATIENCE))?;
-        stream.try_clone()
-    };
-    let answers = prepared().map_err(ClientError::from)?;
-    let (events_in, events) = mpsc::channel();
-    let answers_in = events_in.clone();
-    // Neither is waited for: both end with the process.
-    thread::spawn(move || read_answers(answers, &answers_in));
-    let socket = args.control.socket.clone();
-    thread::spawn(move || match source {
-        Source::Input => read_input(&events_in),
-        Source::Constant { setpoint, lasts } => repeat(&events_in, &setpoint, lasts),
-        Source::Trajectory(way) => follow(&events_in, &way, &socket),
-    });
-    for event in (Newest { events, next: None }) {
-        match event {
-            Event::Setpoint(setpoint) => send(&mut stream, setpoint)?,
-            // The daemon sends its remaining answers and closes the connection.
-            Event::Input(Ok(())) => stream
-                .shutdown(Shutdown::Write)
-                .map_err(ClientError::from)?,
-            Event::Input(Err(error)) => return Err(error.into()),
-            Event::Answer(answer) => check(&answer)?,
-            Event::Closed(closed) => return Ok(closed.map_err(ClientError::from)?),
+    let source = setpoints(&args.demand, args.control.socket.clone())?;
+    let mut connection = Connection::open(&args.control.socket, PATIENCE)?;
+    let (given, setpoints) = mpsc::channel();
+    // It is not waited for: it ends with the process.
+    thread::spawn(move || {
+        for mut setpoint in source {
+            if let Ok(setpoint) = &mut setpoint {
+                // Decided now, unless it says when.
+                setpoint.time_ns.get_or_insert_with(monotonic_ns);
+            }
+            if given.send(setpoint).is_err() {
+                return;
+            }
         }
+    });
+    let mut next = setpoints.recv_timeout(WAIT);
+    while next != Err(RecvTimeoutError::Disconnected) {
+        if let Some(setpoint) = newest(next.into_iter().chain(setpoints.try_iter()))? {
+            connection.send(&Request::Setpoint(setpoint))?;
+        }
+        if is_closed(&mut connection)? {
+            return Ok(());
+        }
+        next = setpoints.recv_timeout(WAIT);
+    }
+    // The daemon sends its remaining answers and closes the connection.
+    connection.end_requests()?;
+    while !is_closed(&mut connection)? {
+        thread::sleep(WAIT);
     }
     Ok(())
 }
 
-fn send(stream: &mut UnixStream, setpoint: Setpoint) -> Result<(), ClientError> {
-    let line = Request::Setpoint(setpoint).to_line()?;
-    Ok(stream.write_all(line.as_bytes())?)
+/// Of the set-points that are waiting, the last.
+fn newest(
+    mut waiting: impl Iterator<Item = Result<Setpoint, String>>,
+) -> Result<Option<Setpoint>, String> {
+    waiting.try_fold(None, |_, setpoint| setpoint.map(Some))
 }
 
-/// Fails with the daemon's reason if it refuses a set-point.
-fn check(answer: &str) -> Result<(), ClientError> {
-    serde_json::from_str::<Answer>(answer)?.agreed().map(drop)
-}
-
-/// The events in order; of the set-points that are waiting, only the last.
-struct Newest {
-    events: Receiver<Event>,
-    /// What came after the last set-point.
-    next: Option<Event>,
-}
-
-impl Iterator for Newest {
-    type Item = Event;
-
-    fn next(&mut self) -> Option<Event> {
-        let mut event = match self.next.take() {
-            Some(event) => event,
-            None => self.events.recv().ok()?,
-        };
-        while let Event::Setpoint(_) = event {
-            match self.events.try_recv() {
-                Ok(newer @ Event::Setpoint(_)) => event = newer,
-                next => {
-                    self.next = next.ok();
-                    break;
-                }
-            }
+/// Looks at the answers; fails with the daemon's reason if it refuses a set-point. Whether the daemon
+/// has closed the connection.
+fn is_closed(connection: &mut Connection) -> Result<bool, ClientError> {
+    loop {
+        match connection.receive::<Answer>() {
+            Ok(Some(answer)) => drop(answer.agreed()?),
+            Ok(None) => return Ok(false),
+            Err(ClientError::Ended) => return Ok(true),
+            Err(error) => return Err(error),
         }
-        Some(event)
     }
-}
-
-fn read_input(events: &Sender<Event>) {
-    let mut lines = (1_u64..).zip(io::stdin().lock().lines());
-    let ended = lines.try_for_each(|(number, line)| {
-        let line = line.map_err(|error| format!("can't read standard input: {error}"))?;
-        if line.trim().is_empty() {
-            return Ok(());
-        }
-        match setpoint(&line) {
-            // The receiver is gone when the process is about to end.
-            Ok(setpoint) => drop(give(events, setpoint)),
-            Err(reason) => {
-                return Err(format!(
-                    "line {number}: {line:?} is not a set-point: {reason}; write VX VY, or VX VY X Y, \
-                     or a JSON object such as {{\"steering_rad\":0.1,\"speed_m_s\":0.5}}"
-                ));
-            }
-        }
-        Ok(())
-    });
-    let _ = events.send(Event::Input(ended));
-}
-
-fn read_answers(answers: UnixStream, events: &Sender<Event>) {
-    let mut lines = BufReader::new(answers).lines();
-    let closed = lines.try_for_each(|line| {
-        let _ = events.send(Event::Answer(line?));
-        Ok(())
-    });
-    let _ = events.send(Event::Closed(closed));
 }
 
 /// The set-point of a line.
@@ -318,33 +259,20 @@ mod tests {
 
     #[test]
     fn of_set_points_that_wait_the_newest_is_sent_and_nothing_else_is_lost() {
-        let (sender, events) = mpsc::channel();
         let line = |number| {
-            Event::Setpoint(Setpoint {
+            Ok(Setpoint {
                 sequence: Some(number),
                 ..Setpoint::default()
             })
         };
-        for event in [
-            line(1),
-            line(2),
-            Event::Answer("a".to_owned()),
-            line(3),
-            line(4),
-            Event::Input(Ok(())),
-        ] {
-            sender.send(event).unwrap();
-        }
-        drop(sender);
-        let told: Vec<String> = Newest { events, next: None }
-            .map(|event| match event {
-                Event::Setpoint(setpoint) => setpoint.sequence.unwrap().to_string(),
-                Event::Answer(answer) => answer,
-                Event::Input(_) => "end".to_owned(),
-                Event::Closed(_) => "closed".to_owned(),
-            })
-            .collect();
-        assert_eq!(told, ["2", "a", "4", "end"]);
+        let sent = |waiting: Vec<_>| {
+            let newest = newest(waiting.into_iter());
+            newest.map(|setpoint| setpoint.and_then(|setpoint| setpoint.sequence))
+        };
+        assert_eq!(sent(vec![line(1), line(2)]), Ok(Some(2)));
+        assert_eq!(sent(vec![]), Ok(None));
+        let wrong = "line 3".to_owned();
+        assert_eq!(sent(vec![line(1), Err(wrong.clone()), line(4)]), Err(wrong));
     }
 
     #[test]

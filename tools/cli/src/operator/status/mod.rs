@@ -3,6 +3,7 @@
 mod summary;
 
 use std::{
+    error::Error,
     io::{self, Write as _},
     path::Path,
     time::{Duration, Instant},
@@ -10,13 +11,13 @@ use std::{
 
 use clap::Args;
 use serde_json::Value;
-use singletrack_api::{Answer, ClientError, Connection, Reply, Request, ask};
+use singletrack_api::{Answer, ClientError, Connection, Reply, Request, ask, ask_as};
 use summary::Summary;
 
 use crate::{
     interrupt::Interrupt,
     operator::{
-        control::{ControlArgs, ControlError, print},
+        control::{ControlArgs, print},
         terminal::Screen,
     },
 };
@@ -43,15 +44,14 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// # Errors
 ///
 /// When the daemon can't be asked, or refuses.
-pub fn run(args: &StatusArgs) -> Result<(), ControlError> {
+pub fn run(args: &StatusArgs) -> Result<(), Box<dyn Error>> {
     let socket = &args.control.socket;
     if args.watch {
         return watch(socket);
     }
     if args.json {
         // As the daemon wrote it, which may be newer than this program.
-        let line = singletrack_api::ask_for_line(&Request::Status {}, socket, PATIENCE)?;
-        let mut answer: Value = serde_json::from_str(&line)?;
+        let mut answer: Value = ask_as(&Request::Status {}, socket, PATIENCE)?;
         let status = answer.get_mut("status").map(Value::take);
         return print(&serde_json::to_string_pretty(&status.unwrap_or(answer))?);
     }
@@ -83,12 +83,12 @@ struct Feed {
 }
 
 impl Feed {
-    fn open(socket: &Path) -> Result<Self, ControlError> {
+    fn open(socket: &Path) -> Result<Self, Box<dyn Error>> {
         let mut questions = Connection::open(socket, PATIENCE)?;
         questions.send(&Request::Status {})?;
         let answer: Answer = questions
             .receive_within(PATIENCE)?
-            .ok_or_else(|| io::Error::from(io::ErrorKind::TimedOut))?;
+            .ok_or_else(|| ClientError::silent(socket, PATIENCE))?;
         let status = answer.agreed()?.status;
         let missing = || ClientError::NoAnswer("an answer without a status".to_owned());
         Ok(Self {
@@ -102,7 +102,7 @@ impl Feed {
     }
 
     /// Takes what has come, and waits a little if nothing has.
-    fn renew(&mut self) -> Result<(), ControlError> {
+    fn renew(&mut self) -> Result<(), Box<dyn Error>> {
         if let Some(answer) = self.questions.receive::<Answer>()? {
             if let Some(status) = answer.agreed()?.status {
                 self.summary.take_status(status);
@@ -138,7 +138,7 @@ impl Feed {
 /// # Errors
 ///
 /// When the daemon can't be reached, or ends.
-fn watch(socket: &Path) -> Result<(), ControlError> {
+fn watch(socket: &Path) -> Result<(), Box<dyn Error>> {
     let interrupt = Interrupt::listen()?;
     let mut feed = Feed::open(socket)?;
     match Screen::open()? {
@@ -156,7 +156,7 @@ fn draw(
     feed: &mut Feed,
     mut screen: Screen,
     socket: &Path,
-) -> Result<(), ControlError> {
+) -> Result<(), Box<dyn Error>> {
     let mut drawn: Option<Instant> = None;
     while !interrupt.is_raised() && !screen.has_key(b'q')? {
         feed.renew()?;
@@ -179,7 +179,7 @@ fn draw(
     Ok(())
 }
 
-fn print_lines(interrupt: &Interrupt, feed: &mut Feed) -> Result<(), ControlError> {
+fn print_lines(interrupt: &Interrupt, feed: &mut Feed) -> Result<(), Box<dyn Error>> {
     let mut printed: Option<Instant> = None;
     while !interrupt.is_raised() {
         feed.renew()?;
@@ -195,7 +195,7 @@ fn print_lines(interrupt: &Interrupt, feed: &mut Feed) -> Result<(), ControlErro
         match writeln!(output, "{line}").and_then(|()| output.flush()) {
             Ok(()) => {}
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),
-            Err(error) => return Err(ControlError::Output(error)),
+            Err(error) => return Err(error.into()),
         }
     }
     Ok(())

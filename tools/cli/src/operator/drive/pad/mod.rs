@@ -132,7 +132,7 @@ struct Held {
 }
 
 /// A pad.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Pad {
     /// Speed of P at the end of the stick, m/s.
     max_speed: f64,
@@ -160,15 +160,8 @@ impl Pad {
         Self {
             max_speed,
             silence,
-            drive: DeadMan::default(),
-            sticks: DeadMan::default(),
-            speed: None,
-            turn: None,
             heard: now,
-            held: None,
-            is_lost: false,
-            note: None,
-            was_silent: false,
+            ..Self::default()
         }
     }
 
