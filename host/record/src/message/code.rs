@@ -12,8 +12,9 @@ use singletrack_pilot::{
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
 
 use super::{
-    Definition, InvalidMessage,
+    Definition,
     field::{Field, Represents},
+    wrong_field,
 };
 use crate::{
     Level, LinkPhase,
@@ -110,9 +111,9 @@ impl<C: Coded> Field for Code<C> {
         visitor.value(name, Value::Text(self.0.word().into()));
     }
 
-    fn parse(name: &'static str, object: &serde_json::Value) -> Result<Self, InvalidMessage> {
+    fn parse(name: &'static str, object: &serde_json::Value) -> Result<Self, String> {
         let OptionalCode(value) = Field::parse(name, object)?;
-        value.map(Self).ok_or(InvalidMessage::Field(name))
+        value.map(Self).ok_or_else(|| wrong_field(name))
     }
 }
 
@@ -133,14 +134,14 @@ impl<C: Coded> Field for OptionalCode<C> {
         );
     }
 
-    fn parse(name: &'static str, object: &serde_json::Value) -> Result<Self, InvalidMessage> {
+    fn parse(name: &'static str, object: &serde_json::Value) -> Result<Self, String> {
         let Some(word) = object[name].as_str() else {
             return Ok(Self(None));
         };
         let known = C::CODED.iter().find(|value| value.word() == word);
         known
             .map(|value| Self(Some(*value)))
-            .ok_or(InvalidMessage::Field(name))
+            .ok_or_else(|| wrong_field(name))
     }
 }
 
@@ -149,7 +150,7 @@ impl<C: Coded> Represents<C> for Code<C> {
         Self(*value)
     }
 
-    fn value(self) -> Result<C, InvalidMessage> {
+    fn value(self) -> Result<C, String> {
         Ok(self.0)
     }
 }
@@ -159,7 +160,7 @@ impl<C: Coded> Represents<Option<C>> for OptionalCode<C> {
         Self(*value)
     }
 
-    fn value(self) -> Result<Option<C>, InvalidMessage> {
+    fn value(self) -> Result<Option<C>, String> {
         Ok(self.0)
     }
 }

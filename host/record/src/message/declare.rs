@@ -3,7 +3,7 @@
 use byteorder::LittleEndian;
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::{Definition, InvalidMessage};
+use super::Definition;
 use crate::value::Visitor;
 
 /// The package that all messages belong to.
@@ -21,7 +21,7 @@ pub(crate) trait Fields: Clone + Serialize + DeserializeOwned {
     fn visit(&self, visitor: &mut dyn Visitor);
 
     /// Reads the fields from the JSON object that a visitor has written.
-    fn parse(object: &serde_json::Value) -> Result<Self, InvalidMessage>;
+    fn parse(object: &serde_json::Value) -> Result<Self, String>;
 }
 
 /// A message type.
@@ -109,7 +109,7 @@ macro_rules! fields {
 
             fn parse(
                 object: &serde_json::Value,
-            ) -> Result<Self, $crate::message::InvalidMessage> {
+            ) -> Result<Self, String> {
                 use $crate::message::field::Field;
                 Ok(Self { $( $field: <$kind as Field>::parse(stringify!($field), object)?, )* })
             }
@@ -130,7 +130,7 @@ macro_rules! fields {
                 }
             }
 
-            fn value(self) -> Result<$source, $crate::message::InvalidMessage> {
+            fn value(self) -> Result<$source, String> {
                 fields!(@value self $source {} $( $field $(= $part)? $(=> $function)?, )*)
             }
         }
@@ -177,7 +177,7 @@ macro_rules! array {
                 Self { $($field),* }
             }
 
-            fn value(self) -> Result<[$item; $length], $crate::message::InvalidMessage> {
+            fn value(self) -> Result<[$item; $length], String> {
                 Ok([$(self.$field),*])
             }
         }
@@ -222,7 +222,7 @@ macro_rules! message {
             fn parse(
                 name: &'static str,
                 object: &serde_json::Value,
-            ) -> Result<Self, $crate::message::InvalidMessage> {
+            ) -> Result<Self, String> {
                 $crate::message::declare::Fields::parse(&object[name])
             }
         }
@@ -271,7 +271,7 @@ macro_rules! choice {
                 }
             }
 
-            fn value(self) -> Result<$source, $crate::message::InvalidMessage> {
+            fn value(self) -> Result<$source, String> {
                 let part = $crate::message::field::Part($what);
                 Ok(match self.kind.0 {
                     $($kind::$variant => $source::$variant $((part.take(self.$field, $part)?))?,)*

@@ -6,8 +6,9 @@ use singletrack_control::{Position, Time, Velocity};
 use singletrack_protocol::Sequence;
 
 use super::{
-    Definition, InvalidMessage,
+    Definition,
     declare::{Fields, Message, declare, fields, message},
+    wrong_field,
 };
 use crate::value::{Value, Visitor};
 
@@ -28,7 +29,7 @@ pub(crate) trait Field: Clone + Serialize + DeserializeOwned {
     }
 
     /// Reads it from the JSON object that a visitor has written.
-    fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage>;
+    fn parse(name: &'static str, object: &Json) -> Result<Self, String>;
 }
 
 /// A field's type as the form in which a message holds a `T` of the record.
@@ -41,7 +42,7 @@ pub(crate) trait Represents<T>: Sized {
     /// # Errors
     ///
     /// When no value has it.
-    fn value(self) -> Result<T, InvalidMessage>;
+    fn value(self) -> Result<T, String>;
 }
 
 /// Takes the parts that a message of a certain kind must have, here named for errors.
@@ -54,11 +55,11 @@ impl Part {
         self,
         field: impl Represents<Option<T>>,
         part: &'static str,
-    ) -> Result<T, InvalidMessage> {
+    ) -> Result<T, String> {
         let kind = self.0;
         field
             .value()?
-            .ok_or(InvalidMessage::PartMissing { kind, part })
+            .ok_or_else(|| format!("{kind} without {part}"))
     }
 }
 
@@ -79,13 +80,13 @@ macro_rules! plain {
                     visitor.value(name, $shown);
                 }
 
-                fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
+                fn parse(name: &'static str, object: &Json) -> Result<Self, String> {
                     let value = match object.get(name) {
                         // A quantity that is not finite.
                         Some(Json::Null) => Some($absent),
                         value => value.and_then(|value| Self::deserialize(value).ok()),
                     };
-                    value.ok_or(InvalidMessage::Field(name))
+                    value.ok_or_else(|| wrong_field(name))
                 }
             }
 
@@ -94,7 +95,7 @@ macro_rules! plain {
                     value.clone()
                 }
 
-                fn value(self) -> Result<$type, InvalidMessage> {
+                fn value(self) -> Result<$type, String> {
                     Ok(self)
                 }
             }
@@ -120,7 +121,7 @@ impl Represents<Time> for u64 {
         time.0
     }
 
-    fn value(self) -> Result<Time, InvalidMessage> {
+    fn value(self) -> Result<Time, String> {
         Ok(Time(self))
     }
 }
@@ -130,7 +131,7 @@ impl Represents<Sequence> for u8 {
         sequence.0
     }
 
-    fn value(self) -> Result<Sequence, InvalidMessage> {
+    fn value(self) -> Result<Sequence, String> {
         Ok(Sequence(self))
     }
 }
@@ -152,8 +153,9 @@ impl<M: Message + Field> Field for Vec<M> {
         });
     }
 
-    fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
-        let list = object[name].as_array().ok_or(InvalidMessage::Field(name))?;
+    fn parse(name: &'static str, object: &Json) -> Result<Self, String> {
+        let list = object[name].as_array();
+        let list = list.ok_or_else(|| wrong_field(name))?;
         list.iter().map(<M as Fields>::parse).collect()
     }
 }
@@ -163,12 +165,10 @@ impl<M: Represents<T>, T, const MAX: usize> Represents<heapless::Vec<T, MAX>> fo
         values.iter().map(M::of).collect()
     }
 
-    fn value(self) -> Result<heapless::Vec<T, MAX>, InvalidMessage> {
+    fn value(self) -> Result<heapless::Vec<T, MAX>, String> {
         if self.len() > MAX {
-            return Err(InvalidMessage::TooManyEvents {
-                count: self.len(),
-                max: MAX,
-            });
+            let count = self.len();
+            return Err(format!("{count} events in a tick, which has at most {MAX}"));
         }
         self.into_iter().map(M::value).collect()
     }
@@ -212,7 +212,7 @@ impl<T: Field> Field for Maybe<T> {
         }
     }
 
-    fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
+    fn parse(name: &'static str, object: &Json) -> Result<Self, String> {
         let present = !object[name].is_null();
         Ok(Self(present.then(|| T::parse(name, object)).transpose()?))
     }
@@ -223,7 +223,7 @@ impl<F: Represents<T>, T> Represents<Option<T>> for Maybe<F> {
         Self(value.as_ref().map(F::of))
     }
 
-    fn value(self) -> Result<Option<T>, InvalidMessage> {
+    fn value(self) -> Result<Option<T>, String> {
         self.0.map(F::value).transpose()
     }
 }
@@ -248,7 +248,7 @@ impl<G: Fields> Field for Group<G> {
         self.0.visit(visitor);
     }
 
-    fn parse(_: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
+    fn parse(_: &'static str, object: &Json) -> Result<Self, String> {
         G::parse(object).map(Self)
     }
 }
@@ -258,7 +258,7 @@ impl<G: Represents<T>, T> Represents<T> for Group<G> {
         Self(G::of(value))
     }
 
-    fn value(self) -> Result<T, InvalidMessage> {
+    fn value(self) -> Result<T, String> {
         self.0.value()
     }
 }
@@ -276,7 +276,7 @@ macro_rules! vector {
                 Self { $x: vector.x, $y: vector.y }
             }
 
-            fn value(self) -> Result<$vector, InvalidMessage> {
+            fn value(self) -> Result<$vector, String> {
                 Ok($vector::new(self.$x, self.$y))
             }
         }

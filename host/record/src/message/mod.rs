@@ -25,20 +25,9 @@ pub(crate) use report::{
 };
 pub(crate) use tick::TickMessage;
 
-/// A message that no entry of a record has as its form.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum InvalidMessage {
-    #[error("{count} events in a tick, which has at most {max}")]
-    TooManyEvents { count: usize, max: usize },
-    #[error("{kind} without {part}")]
-    PartMissing {
-        kind: &'static str,
-        part: &'static str,
-    },
-    #[error("a count of {0}, which is more than this machine can represent")]
-    CountTooLarge(u64),
-    #[error("{0} is missing, or not of its type")]
-    Field(&'static str),
+/// Why a field of an object can't be read.
+fn wrong_field(name: &str) -> String {
+    format!("{name} is missing, or not of its type")
 }
 
 /// The schema of a message under construction.

@@ -277,11 +277,7 @@ impl Entry {
     /// It is no message of this topic; in words.
     pub fn decode(topic: Topic, bytes: &[u8]) -> Result<Self, String> {
         with_message!(topic, M of Variant => {
-            let value = message::decode::<M>(bytes)?.value();
-            match value {
-                Ok(value) => Ok(Variant(value)),
-                Err(error) => Err(error.to_string()),
-            }
+            Ok(Variant(message::decode::<M>(bytes)?.value()?))
         })
     }
 
@@ -293,8 +289,7 @@ impl Entry {
     /// It is no entry of this topic; in words.
     pub fn from_json(topic: Topic, object: &serde_json::Value) -> Result<Self, String> {
         with_message!(topic, M of Variant => {
-            let value = <M as Fields>::parse(object).and_then(M::value);
-            value.map(Variant).map_err(|error| error.to_string())
+            Ok(Variant(<M as Fields>::parse(object)?.value()?))
         })
     }
 }
