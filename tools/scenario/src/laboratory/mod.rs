@@ -241,8 +241,8 @@ impl Laboratory {
             .map_err(SetupError::new)?;
         let world = &mut self.drive.world;
         let now_us = world.now_us;
-        world.cameras.set_loss_epoch(Some(now_us));
-        world.cameras.set_loss(pattern);
+        world.cameras.loss_epoch_us = Some(now_us);
+        world.cameras.parameters.loss = pattern;
         Ok(())
     }
 
@@ -255,8 +255,8 @@ impl Laboratory {
         let duration_us = parse_duration_us(duration).map_err(SetupError::new)?;
         let world = &mut self.drive.world;
         let now_us = world.now_us;
-        world.cameras.set_loss_epoch(Some(0));
-        world.cameras.add_loss_window(LossWindow {
+        world.cameras.loss_epoch_us = Some(0);
+        world.cameras.parameters.loss_windows.push(LossWindow {
             start_us: now_us,
             end_us: now_us + duration_us,
         });

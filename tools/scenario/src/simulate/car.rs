@@ -312,10 +312,14 @@ impl ScenarioRun {
             for first_tick in beginnings.take_while(|tick| *tick <= last_tick) {
                 // A tick is lost when no frame arrives in the period before it.
                 let first_us = self.start_us + (first_tick - 1) * period_us - self.latency_us;
-                self.world().cameras.add_loss_window(LossWindow {
-                    start_us: first_us,
-                    end_us: first_us + loss.ticks * period_us,
-                });
+                self.world()
+                    .cameras
+                    .parameters
+                    .loss_windows
+                    .push(LossWindow {
+                        start_us: first_us,
+                        end_us: first_us + loss.ticks * period_us,
+                    });
             }
         }
     }

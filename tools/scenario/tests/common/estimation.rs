@@ -64,8 +64,8 @@ pub(crate) fn study(
     let first = drive.start()?;
     let epoch_us = first.now.0 / 1000;
     let cameras = &mut drive.world.cameras;
-    cameras.set_loss(loss);
-    cameras.set_loss_epoch(Some(epoch_us));
+    cameras.parameters.loss = loss;
+    cameras.loss_epoch_us = Some(epoch_us);
 
     let mut sum = Sum::default();
     loop {
