@@ -30,7 +30,8 @@ pub(super) fn run(
     write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
     let mut drive = VirtualDrive::new(config.clone(), args.seed, simulation)?;
     drive.world.cameras.loss_epoch_us = None;
-    let mut record = VirtualRecord::start(&args.out.join(RECORD), &mut drive, &config, args.seed)?;
+    let mut record =
+        VirtualRecord::start(Some(&args.out.join(RECORD)), &mut drive, &config, args.seed)?;
     let first = drive.start()?;
     let epoch_us = drive.now_us();
     drive.world.cameras.loss_epoch_us = Some(epoch_us);

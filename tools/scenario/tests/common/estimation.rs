@@ -4,7 +4,7 @@ use singletrack_control::{Estimate, wrap};
 use singletrack_core::config::MarkerLoss;
 use singletrack_pilot::Mode;
 use singletrack_scenario::{
-    simulate::{CarError, Scenario, virtual_drive_config},
+    simulate::{Scenario, SimulateError, virtual_drive_config},
     virtual_drive::VirtualDrive,
 };
 use singletrack_sim::{LossPattern, Truth};
@@ -51,7 +51,7 @@ pub(crate) fn study(
     scenario: &Scenario,
     loss: Option<LossPattern>,
     marker_loss: MarkerLoss,
-) -> Result<EstimationStudy, CarError> {
+) -> Result<EstimationStudy, SimulateError> {
     let (mut config, simulation) = virtual_drive_config(scenario)?;
     config.estimator.marker_loss = marker_loss;
     if let Some(loss) = loss {
