@@ -8,8 +8,9 @@ use singletrack_mocap::{
 };
 
 use crate::{
-    BoardKind, LossKind, LossPattern, RealTimeConfig, ServerKind, SimulationConfig,
-    SimulationFileError, StartPose, UdpConfig, parse_bitstream, parse_duration_us,
+    BoardKind, LossKind, LossPattern, LossPatternError, RealTimeConfig, ServerKind,
+    SimulationConfig, SimulationFileError, StartPose, UdpConfig, parse_bitstream,
+    parse_duration_us,
 };
 
 /// Where the daemon's example configuration can drive from.
@@ -113,10 +114,8 @@ pub struct Arguments {
     pub quiet: bool,
 }
 
-fn parse_duration(text: &str) -> Result<Duration, String> {
-    parse_duration_us(text)
-        .map(Duration::from_micros)
-        .map_err(|error| error.to_string())
+fn parse_duration(text: &str) -> Result<Duration, LossPatternError> {
+    parse_duration_us(text).map(Duration::from_micros)
 }
 
 fn parse_server(text: &str) -> Result<ServerKind, String> {

@@ -125,7 +125,7 @@ impl HandCommand {
             Self::Esc(on) => world.car.set_esc_power(on),
             Self::Battery(on) => world.car.set_battery_plugged(on),
             Self::Cable(on) => world.set_cable(on),
-            Self::StopSwitch(open) => world.board.set_stop_input_open(open),
+            Self::StopSwitch(open) => world.board.stop_input_open = open,
             Self::Markers(covered) => {
                 world.cameras.faults.loss = covered.then_some(LossKind::Occluded);
             }
@@ -136,69 +136,6 @@ impl HandCommand {
 }
 
 /// The line that is this command: it parses as the same one.
-impl fmt::Display for HandCommand {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let on = |on: bool| if on { "on" } else { "off" };
-        match *self {
-            Self::Move(motion) => {
-                let (name, numbers) = words(motion);
-                f.write_str(name)?;
-                numbers.iter().try_for_each(|number| write!(f, " {number}"))
-            }
-            Self::Esc(is_on) => write!(f, "esc {}", on(is_on)),
-            Self::Battery(is_on) => write!(f, "battery {}", on(is_on)),
-            Self::Cable(is_on) => write!(f, "cable {}", on(is_on)),
-            Self::StopSwitch(true) => f.write_str("stop-switch open"),
-            Self::StopSwitch(false) => f.write_str("stop-switch closed"),
-            Self::Markers(true) => f.write_str("markers covered"),
-            Self::Markers(false) => f.write_str("markers visible"),
-            Self::Reset => f.write_str("reset"),
-            Self::Look => f.write_str("look"),
-        }
-    }
-}
-
-/// An angle in degrees, without the last digits, which the conversion makes up.
-fn degrees(angle_rad: f64) -> f64 {
-    (angle_rad.to_degrees() * 1e9).round() / 1e9
-}
-
-/// The name of a motion, and its numbers.
-fn words(motion: HandMotion) -> (&'static str, Vec<f64>) {
-    match motion {
-        HandMotion::Lift { height_m } => ("lift", vec![height_m]),
-        HandMotion::PutDown => ("put-down", Vec::new()),
-        HandMotion::Roll {
-            distance_m: distance,
-            speed_m_s: speed,
-        } => ("roll", vec![distance, speed]),
-        HandMotion::Turn {
-            angle_rad: angle,
-            about_m: [forward, left],
-            wander_m: wander,
-            for_s,
-        } => ("turn", vec![degrees(angle), forward, left, for_s, wander]),
-        HandMotion::Twist {
-            amplitude_rad: angle,
-            about_m: [forward, left],
-            period_s,
-            for_s,
-        } => (
-            "twist",
-            vec![degrees(angle), forward, left, period_s, for_s],
-        ),
-        HandMotion::Tilt {
-            roll_rad: roll,
-            pitch_rad: pitch,
-            for_s,
-        } => ("tilt", vec![degrees(roll), degrees(pitch), for_s]),
-        HandMotion::Carry { to, for_s } => {
-            ("carry", vec![to.x_m, to.y_m, degrees(to.yaw_rad), for_s])
-        }
-        HandMotion::Hold { for_s } => ("hold", vec![for_s]),
-    }
-}
-
 /// What a person sees of the car. Nothing of it is misread.
 ///
 /// Its text is `key value` pairs on one line.
@@ -235,7 +172,7 @@ impl Seen {
         Self {
             steering_deg: truth.steering.to_degrees(),
             wheels_m_s: truth.wheel_speed,
-            driven: car.motor_is_driven(),
+            driven: car.is_driven(),
             buzzes: car.servo_strains(),
             esc: car.esc_has_power(),
             battery_v: truth.battery_v,
@@ -267,44 +204,6 @@ impl fmt::Display for Seen {
             yes(self.held),
             yes(self.wheels_up),
         )
-    }
-}
-
-/// A line that does not say what is seen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("not a line of what is seen")]
-pub struct NotSeen;
-
-impl FromStr for Seen {
-    type Err = NotSeen;
-
-    fn from_str(line: &str) -> Result<Self, NotSeen> {
-        let words: Vec<&str> = line.split_whitespace().collect();
-        let word = |key: &str| {
-            words
-                .chunks_exact(2)
-                .find_map(|pair| (pair[0] == key).then_some(pair[1]))
-                .ok_or(NotSeen)
-        };
-        let number = |key: &str| word(key)?.parse::<f64>().map_err(|_| NotSeen);
-        let flag = |key: &str| match word(key)? {
-            "yes" | "on" => Ok(true),
-            "no" | "off" => Ok(false),
-            _ => Err(NotSeen),
-        };
-        Ok(Self {
-            steering_deg: number("steering_deg")?,
-            wheels_m_s: number("wheels_m_s")?,
-            driven: flag("driven")?,
-            buzzes: flag("buzzes")?,
-            esc: flag("esc")?,
-            battery_v: number("battery_v")?,
-            x_m: number("x_m")?,
-            y_m: number("y_m")?,
-            yaw_deg: number("yaw_deg")?,
-            held: flag("held")?,
-            wheels_up: flag("wheels_up")?,
-        })
     }
 }
 
@@ -360,38 +259,5 @@ mod tests {
             "{text}"
         );
         assert!(text.ends_with("held yes wheels_up yes"), "{text}");
-        let read: Seen = text.parse().unwrap();
-        assert_eq!(read.to_string(), text);
-        assert_eq!("esc on".parse::<Seen>(), Err(NotSeen));
-    }
-
-    #[test]
-    fn a_command_is_written_as_it_is_read() {
-        for line in [
-            "lift 0.1",
-            "put-down",
-            "roll -0.5 0.4",
-            "turn 90 -0.1 0.02 3 0.004",
-            "twist 30 0 0.01 1.1 12",
-            "tilt 45 0 3",
-            "carry 1 -0.5 90 4",
-            "hold 2",
-            "esc off",
-            "battery on",
-            "cable off",
-            "stop-switch open",
-            "markers covered",
-            "reset",
-            "look",
-        ] {
-            let command: HandCommand = line.parse().unwrap();
-            assert_eq!(command.to_string(), line);
-        }
-        let without: HandCommand = "turn 90 0 0 3".parse().unwrap();
-        assert_eq!(without.to_string(), "turn 90 0 0 3 0");
-        assert_eq!(
-            "turn 90 0 0 3 0 0".parse::<HandCommand>(),
-            Err(UnknownHandCommand)
-        );
     }
 }

@@ -66,7 +66,7 @@ impl SkewedClock {
 /// A drive does not begin at simulation time zero: bootloader, ESC and estimator come
 /// first. Times in a configuration count from its beginning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Epoch(Option<u64>);
+pub(crate) struct Epoch(pub(crate) Option<u64>);
 
 impl Default for Epoch {
     /// The start of the simulation.
@@ -76,10 +76,6 @@ impl Default for Epoch {
 }
 
 impl Epoch {
-    pub(crate) const fn new(epoch_us: Option<u64>) -> Self {
-        Self(epoch_us)
-    }
-
     /// Time since zero, in s; `None` before it.
     pub(crate) fn elapsed_s(self, now_us: u64) -> Option<f64> {
         Some(now_us.checked_sub(self.0?)? as f64 * 1e-6)
@@ -126,13 +122,13 @@ mod tests {
 
     #[test]
     fn times_count_from_the_epoch_and_nothing_happens_without_one() {
-        let epoch = Epoch::new(Some(3_000_000));
+        let epoch = Epoch(Some(3_000_000));
         assert!(!epoch.has_come(Some(0.0), 2_999_999));
         assert!(epoch.has_come(Some(0.0), 3_000_000));
         assert!(!epoch.has_come(Some(2.0), 4_999_999));
         assert!(epoch.has_come(Some(2.0), 5_000_000));
         assert!(!epoch.has_come(None, 9_000_000));
-        assert!(!Epoch::new(None).has_come(Some(0.0), 9_000_000));
+        assert!(!Epoch(None).has_come(Some(0.0), 9_000_000));
         let within = |now_us| epoch.is_within(Some(1.0), 500.0, now_us);
         assert!(!within(3_999_999) && within(4_000_000));
         assert!(within(4_499_999) && !within(4_500_000));

@@ -64,22 +64,21 @@ pub use board::{
     BoardKind, BoardParameters, Installation, ReceivedMessage, SimulatedBoard, UnknownBoard,
     UnoError,
 };
-pub use by_hand::{HAND_COMMANDS, HandCommand, NotSeen, Seen, UnknownHandCommand};
+pub use by_hand::{HAND_COMMANDS, HandCommand, Seen, UnknownHandCommand};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
     DecoyMotion, LossKind, ServerKind, Sight, TICKS_PER_SECOND,
 };
 pub use car::{
     BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters,
-    ImuReading, MotorParameters, MotorPulses, MotorSensorFault, MotorSensorParameters, Push,
-    ServoParameters, StartPose, Truth, WIDE_US, crooked_steering,
+    MotorParameters, MotorPulses, MotorSensorFault, MotorSensorParameters, Push, ServoParameters,
+    StartPose, Truth, WIDE_US, crooked_steering,
 };
 pub use clock::SkewedClock;
 pub use floor::Floor;
 pub use loss::{LossPattern, LossPatternError, LossWindow, parse_duration_us};
 pub use natnet_server::{
-    Datagram, Destination, MULTICAST_GROUP, NatNetCounters, NatNetParameters, NatNetServer,
-    parse_bitstream,
+    Datagram, Destination, NatNetCounters, NatNetParameters, NatNetServer, parse_bitstream,
 };
 pub use parameters::{ConfigError, SimulationConfig, default_board_configuration};
 #[cfg(feature = "real-time")]

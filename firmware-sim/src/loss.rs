@@ -16,46 +16,10 @@ pub struct LossPattern {
     pub interval_us: u64,
 }
 
-/// Error while parsing a loss pattern.
+/// Why a loss pattern or a duration is none.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum LossPatternError {
-    /// No `@` between duration and interval, or more than one.
-    #[error("\"{text}\" is not a loss pattern: write DURATION@INTERVAL, for instance 200ms@2s")]
-    Form {
-        /// The invalid text.
-        text: String,
-    },
-    /// A duration without a number or with an unknown unit.
-    #[error(
-        "\"{text}\" is not a duration: write a number and one of us, ms, s, for instance 200ms or 0.2s"
-    )]
-    Duration {
-        /// The invalid text.
-        text: String,
-    },
-    /// A duration of zero.
-    #[error("the {name} of a loss pattern must be at least 1 us; it is zero")]
-    Zero {
-        /// Name of the duration: duration or interval.
-        name: &'static str,
-    },
-    /// The losses overlap, so that the markers never return.
-    #[error(
-        "a loss of {} s at every {} s never ends: make the duration shorter than the interval",
-        seconds(*.duration_us),
-        seconds(*.interval_us)
-    )]
-    NeverEnds {
-        /// The duration, in µs.
-        duration_us: u64,
-        /// The interval, in µs.
-        interval_us: u64,
-    },
-}
-
-fn seconds(microseconds: u64) -> f64 {
-    microseconds as f64 / 1e6
-}
+#[error("{0}")]
+pub struct LossPatternError(String);
 
 impl LossPattern {
     /// A pattern with a loss of `duration_us` at every multiple of `interval_us`.
@@ -66,14 +30,17 @@ impl LossPattern {
     pub fn new(duration_us: u64, interval_us: u64) -> Result<Self, LossPatternError> {
         for (name, value) in [("duration", duration_us), ("interval", interval_us)] {
             if value == 0 {
-                return Err(LossPatternError::Zero { name });
+                return Err(LossPatternError(format!(
+                    "the {name} of a loss pattern must be at least 1 us; it is zero"
+                )));
             }
         }
         if duration_us >= interval_us {
-            return Err(LossPatternError::NeverEnds {
-                duration_us,
-                interval_us,
-            });
+            let [duration_s, interval_s] = [duration_us, interval_us].map(|us| us as f64 / 1e6);
+            return Err(LossPatternError(format!(
+                "a loss of {duration_s} s at every {interval_s} s never ends: make the duration \
+                 shorter than the interval"
+            )));
         }
         Ok(Self {
             duration_us,
@@ -91,8 +58,10 @@ impl FromStr for LossPattern {
     type Err = LossPatternError;
 
     fn from_str(text: &str) -> Result<Self, LossPatternError> {
-        let form = || LossPatternError::Form {
-            text: text.to_owned(),
+        let form = || {
+            LossPatternError(format!(
+                "{text:?} is not a loss pattern: write DURATION@INTERVAL, for instance 200ms@2s"
+            ))
         };
         let (duration, interval) = text.split_once('@').ok_or_else(form)?;
         if interval.contains('@') {
@@ -106,11 +75,13 @@ impl FromStr for LossPattern {
 ///
 /// # Errors
 ///
-/// [`LossPatternError::Duration`] if the number is negative or not finite, or the
-/// unit is unknown.
+/// The number is negative or not finite, or the unit is unknown.
 pub fn parse_duration_us(text: &str) -> Result<u64, LossPatternError> {
-    let error = || LossPatternError::Duration {
-        text: text.to_owned(),
+    let error = || {
+        LossPatternError(format!(
+            "{text:?} is not a duration: write a number and one of us, ms, s, for instance 200ms or \
+             0.2s"
+        ))
     };
     let trimmed = text.trim();
     let (number, microseconds) = [("us", 1.0), ("µs", 1.0), ("ms", 1e3), ("s", 1e6)]

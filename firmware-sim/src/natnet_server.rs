@@ -7,6 +7,7 @@ use std::{
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 use singletrack_mocap::{
+    DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP,
     codec::{
         BitstreamVersion, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
         RigidBodyDefinition, ServerInfo, bitstream_request,
@@ -15,9 +16,6 @@ use singletrack_mocap::{
 };
 
 use crate::cameras::{CameraFrame, CameraParameters, TICKS_PER_SECOND};
-
-/// Default multicast group of NatNet servers.
-pub const MULTICAST_GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 42, 99);
 
 /// Parameters of the server.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,7 +45,7 @@ impl Default for NatNetParameters {
         Self {
             bitstream: BitstreamVersion::V4_1,
             multicast: false,
-            group: MULTICAST_GROUP,
+            group: DEFAULT_MULTICAST_GROUP,
             keep_alive_timeout_us: 5_000_000,
             sends_from: None,
             is_off: false,
@@ -137,9 +135,11 @@ const MAX_CLIENTS: usize = 16;
 pub struct NatNetServer {
     /// The parameters.
     pub parameters: NatNetParameters,
-    data_port: u16,
+    /// The data port that is told to clients.
+    pub data_port: u16,
     clients: Vec<Client>,
-    models_changed: bool,
+    /// The next frame says that the models have changed.
+    pub(crate) models_changed: bool,
     /// The counters so far.
     pub counters: NatNetCounters,
     buffer: Vec<u8>,
@@ -150,7 +150,7 @@ impl NatNetServer {
     pub fn new(parameters: NatNetParameters) -> Self {
         Self {
             parameters,
-            data_port: 1511,
+            data_port: DEFAULT_DATA_PORT,
             clients: Vec::new(),
             models_changed: false,
             counters: NatNetCounters::default(),
@@ -158,19 +158,9 @@ impl NatNetServer {
         }
     }
 
-    /// Sets the data port that is reported to clients.
-    pub const fn set_data_port(&mut self, port: u16) {
-        self.data_port = port;
-    }
-
     /// Addresses of the unicast clients.
     pub fn clients(&self) -> impl Iterator<Item = SocketAddr> {
         self.clients.iter().map(|client| client.address)
-    }
-
-    /// Flags a change of the models in the next frame.
-    pub(crate) const fn announce_model_change(&mut self) {
-        self.models_changed = true;
     }
 
     /// Processes a datagram from a client and returns the answer, if any; `ticks`

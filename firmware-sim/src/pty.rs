@@ -80,11 +80,7 @@ impl Pty {
     ///
     /// The system's error.
     pub fn read(&self, buffer: &mut [u8]) -> io::Result<usize> {
-        match rustix::io::read(&self.master, buffer) {
-            Ok(count) => Ok(count),
-            Err(Errno::AGAIN | Errno::INTR) => Ok(0),
-            Err(error) => Err(error.into()),
-        }
+        now(rustix::io::read(&self.master, buffer))
     }
 
     /// Writes bytes to the host; returns the number written.
@@ -93,11 +89,7 @@ impl Pty {
     ///
     /// The system's error.
     pub fn write(&self, bytes: &[u8]) -> io::Result<usize> {
-        match rustix::io::write(&self.master, bytes) {
-            Ok(count) => Ok(count),
-            Err(Errno::AGAIN | Errno::INTR) => Ok(0),
-            Err(error) => Err(error.into()),
-        }
+        now(rustix::io::write(&self.master, bytes))
     }
 
     /// Clears exclusive mode. A real port loses it when it is closed, but this one
@@ -105,6 +97,14 @@ impl Pty {
     pub fn clear_exclusive(&self) {
         // If this fails, the next host reports the error.
         let _ = ioctl_tiocnxcl(&self.host_end);
+    }
+}
+
+/// What was done without waiting.
+fn now(done: rustix::io::Result<usize>) -> io::Result<usize> {
+    match done {
+        Err(Errno::AGAIN | Errno::INTR) => Ok(0),
+        done => Ok(done?),
     }
 }
 

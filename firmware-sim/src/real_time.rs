@@ -332,7 +332,7 @@ impl Sockets {
             ServerKind::NatNet => {
                 let natnet = world.natnet.parameters;
                 let sockets = NatNetSockets::bind(config, natnet.group, natnet.sends_from)?;
-                world.natnet.set_data_port(sockets.data_address.port());
+                world.natnet.data_port = sockets.data_address.port();
                 Self::NatNet(sockets)
             }
             ServerKind::Vrpn => Self::Stream(Box::new(StreamServers::vrpn(interface, port)?)),

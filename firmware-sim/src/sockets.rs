@@ -40,29 +40,21 @@ impl Default for UdpConfig {
 
 /// Error while opening a socket of the cameras' server.
 #[derive(Debug, thiserror::Error)]
-#[error(
-    "can't serve the cameras on {address} ({purpose}): {source}; choose another port, or 0 for a free one"
-)]
-pub struct UdpError {
-    /// Requested address.
-    pub address: SocketAddrV4,
-    /// Purpose of the socket.
-    pub purpose: &'static str,
-    /// The system's error.
-    pub source: io::Error,
-}
+#[error("{0}")]
+pub struct UdpError(String);
 
 impl UdpError {
     /// What `open` returns, or this error for its error.
     pub(crate) fn or<T>(
         address: SocketAddrV4,
-        purpose: &'static str,
+        purpose: &str,
         open: impl FnOnce() -> io::Result<T>,
     ) -> Result<T, Self> {
-        open().map_err(|source| Self {
-            address,
-            purpose,
-            source,
+        open().map_err(|error| {
+            Self(format!(
+                "can't serve the cameras on {address} ({purpose}): {error}; choose another port, or 0 \
+                 for a free one"
+            ))
         })
     }
 }
@@ -131,7 +123,8 @@ impl NatNetSockets {
     }
 }
 
-fn bind(
+/// A UDP socket that does not wait.
+pub(crate) fn bind(
     interface: Ipv4Addr,
     port: u16,
     purpose: &'static str,

@@ -7,7 +7,7 @@ use singletrack_mocap::qualisys::packet::{self, ByteOrder};
 use crate::{
     cameras::{CameraFrame, CameraParameters},
     qtm_server::QtmServer,
-    sockets::{Serving, UdpError},
+    sockets::{Serving, UdpError, bind},
     vrpn_server::VrpnServer,
 };
 
@@ -31,7 +31,7 @@ impl StreamServers {
     /// A VRPN server on TCP and UDP of this port.
     pub(crate) fn vrpn(interface: Ipv4Addr, port: u16) -> Result<Self, UdpError> {
         let (listener, address) = listen(interface, port, "VRPN")?;
-        let udp = bind(address, "VRPN's requests on UDP")?;
+        let (udp, _) = bind(interface, address.port(), "VRPN's requests on UDP")?;
         Ok(Self {
             protocol: Protocol::Vrpn(Serving::new(VrpnServer, listener)),
             udp,
@@ -46,8 +46,8 @@ impl StreamServers {
         let (big, _) = listen(interface, next, "QTM, big-endian")?;
         // As far from the other ports as QTM's own, if it is free.
         let discovery = (port != 0)
-            .then(|| SocketAddrV4::new(interface, port.saturating_add(3)))
-            .and_then(|address| bind(address, "QTM's discovery").ok());
+            .then(|| bind(interface, port.saturating_add(3), "QTM's discovery"))
+            .and_then(|bound| Some(bound.ok()?.0));
         let serving = |order, listener| Serving::new(QtmServer { order }, listener);
         Ok(Self {
             protocol: Protocol::Qtm(
@@ -55,7 +55,7 @@ impl StreamServers {
                 serving(ByteOrder::Big, big),
                 discovery,
             ),
-            udp: bind(SocketAddrV4::new(interface, 0), "QTM's frames on UDP")?,
+            udp: bind(interface, 0, "QTM's frames on UDP")?.0,
             address,
         })
     }
@@ -140,13 +140,5 @@ fn listen(
             SocketAddr::V6(_) => address,
         };
         Ok((listener, bound))
-    })
-}
-
-fn bind(address: SocketAddrV4, purpose: &'static str) -> Result<UdpSocket, UdpError> {
-    UdpError::or(address, purpose, || {
-        let socket = UdpSocket::bind(address)?;
-        socket.set_nonblocking(true)?;
-        Ok(socket)
     })
 }

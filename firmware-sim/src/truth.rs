@@ -4,10 +4,7 @@
 //! Every key is optional. What is left out is as in the simulation's configuration, which
 //! agrees with the default configuration of the daemon.
 
-use std::{
-    net::Ipv4Addr,
-    path::{Path, PathBuf},
-};
+use std::{net::Ipv4Addr, path::Path};
 
 use serde::{Deserialize, Serialize};
 
@@ -361,34 +358,10 @@ truth! {
     }
 }
 
-/// Errors in the file of a simulation.
+/// What is wrong with the file of a simulation.
 #[derive(Debug, thiserror::Error)]
-pub enum SimulationFileError {
-    /// The file can't be read.
-    #[error("can't read {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// The file is not a configuration.
-    #[error("{}: {message}", path.display())]
-    Parse {
-        /// The file.
-        path: PathBuf,
-        /// Where and why.
-        message: String,
-    },
-    /// A value is invalid.
-    #[error("{}: {source}", path.display())]
-    Value {
-        /// The file.
-        path: PathBuf,
-        /// The value.
-        source: ConfigError,
-    },
-}
+#[error("{0}")]
+pub struct SimulationFileError(String);
 
 section! {
     /// The file of a simulation: its configuration, and what is true of the car beside it.
@@ -419,10 +392,10 @@ impl SimulationConfig {
     ///
     /// The file can't be read, has an unknown key, or a value out of range.
     pub fn read(path: &Path) -> Result<Self, SimulationFileError> {
-        let text = std::fs::read_to_string(path).map_err(|source| SimulationFileError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
+        let name = path.display();
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| SimulationFileError(format!("can't read {name}: {source}")))?;
+        let wrong = |why: String| SimulationFileError(format!("{name}: {why}"));
         let SimulationFile {
             seed,
             car,
@@ -431,10 +404,7 @@ impl SimulationConfig {
             cameras,
             natnet,
             truth,
-        } = toml::from_str(&text).map_err(|error| SimulationFileError::Parse {
-            path: path.to_owned(),
-            message: explain(&text, &error),
-        })?;
+        } = toml::from_str(&text).map_err(|error| wrong(explain(&text, &error)))?;
         let mut simulation = Self {
             seed,
             car,
@@ -443,12 +413,8 @@ impl SimulationConfig {
             cameras,
             natnet,
         };
-        truth
-            .apply(&mut simulation)
-            .map_err(|source| SimulationFileError::Value {
-                path: path.to_owned(),
-                source,
-            })?;
+        let applied = truth.apply(&mut simulation);
+        applied.map_err(|error| wrong(error.to_string()))?;
         Ok(simulation)
     }
 }

@@ -3,12 +3,13 @@
 use std::{collections::VecDeque, net::SocketAddr};
 
 use singletrack_protocol::ResetCause;
-use singletrack_simavr::BusFault;
+use singletrack_simavr::{BusFault, Motion};
 
 use crate::{
     board::SimulatedBoard,
     cameras::{CameraFrame, Cameras},
-    car::{Car, Imu, ImuFault, ImuReading, Truth},
+    car::{Car, Imu, ImuFault, Truth},
+    clock::Epoch,
     natnet_server::{Datagram, NatNetServer},
     parameters::{ConfigError, SimulationConfig},
     pulses::{PulseFilter, Unfiltered},
@@ -31,13 +32,14 @@ pub struct World {
     pub car: Car,
     imu: Imu,
     imu_samples: u64,
-    imu_fault: ImuFault,
+    /// The fault of the IMU.
+    pub imu_fault: ImuFault,
     /// The last sample taken without a fault.
-    imu_last: Option<ImuReading>,
+    imu_last: Option<Motion>,
     /// The supply of servo and IMU.
     imu_supply: ImuSupply,
     /// Samples in transit to the board with their arrival times.
-    imu_pending: VecDeque<(u64, ImuReading)>,
+    imu_pending: VecDeque<(u64, Motion)>,
     /// The board.
     pub board: SimulatedBoard,
     /// The USB cable is plugged in.
@@ -169,7 +171,7 @@ impl World {
                 break;
             }
             self.imu_pending.pop_front();
-            self.board.take_imu(now_us, &reading);
+            self.board.take_imu(now_us, reading);
         }
         if exposure_is_due {
             self.cameras.expose(&self.car.truth());
@@ -284,17 +286,12 @@ impl World {
         self.imu.gyro_bias
     }
 
-    /// Sets the fault of the IMU.
-    pub const fn set_imu_fault(&mut self, fault: ImuFault) {
-        self.imu_fault = fault;
-    }
-
     /// Sets the zero of all times `..._at_s` and `..._from_s` of the configuration, in µs
     /// of the simulation; the default is its start. With `None` nothing of the kind
     /// happens until there is one.
     pub const fn set_epoch(&mut self, epoch_us: Option<u64>) {
-        self.car.set_epoch(epoch_us);
-        self.cameras.set_epoch(epoch_us);
+        self.car.epoch = Epoch(epoch_us);
+        self.cameras.epoch = Epoch(epoch_us);
     }
 
     /// Resets the board; it restarts after its start-up time.
@@ -336,7 +333,7 @@ impl World {
     /// next frame announces the change.
     pub const fn set_car_body_id(&mut self, id: i32) {
         self.cameras.set_car_id(id);
-        self.natnet.announce_model_change();
+        self.natnet.models_changed = true;
     }
 }
 

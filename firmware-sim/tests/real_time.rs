@@ -230,7 +230,7 @@ fn natnet_is_served_by_multicast_on_the_loopback_interface() {
     let simulator = start(config, &directory.path().join("b"));
     let socket = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::DGRAM, None).unwrap();
     socket.set_reuse_address(true).unwrap();
-    let group = singletrack_sim::MULTICAST_GROUP;
+    let group = singletrack_mocap::DEFAULT_MULTICAST_GROUP;
     let address = std::net::SocketAddrV4::new(group, simulator.data_address.port());
     socket.bind(&address.into()).unwrap();
     socket

@@ -18,7 +18,7 @@ use pyo3::{
 use singletrack_core::config::{MotionCaptureSection, ServerKind, TransportKind, UpAxis};
 use singletrack_mocap::{
     Body, BodyState, CaptureTime, DEFAULT_COMMAND_PORT, Input, LocalEnd, NameText, Output, Phase,
-    PoseSource as _, SessionEvent, Source,
+    SessionEvent, Source,
     codec::ClientMessage,
     encode,
     qualisys::packet::{DISCOVERY_PORT, discovery},

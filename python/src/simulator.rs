@@ -58,7 +58,7 @@ impl Simulator {
         let simulation = setup.simulation(seed, start, &[]).map_err(refuse)?;
         let mut laboratory = Laboratory::new(setup.config, seed, simulation).map_err(refuse)?;
         if let Some(path) = record {
-            let started = laboratory.record(&path);
+            let started = laboratory.record(Some(&path));
             started.map_err(|error| PyOSError::new_err(error.to_string()))?;
         }
         Ok(Self(Mutex::new(laboratory)))
@@ -119,7 +119,7 @@ impl Simulator {
             gain: gain_per_s.map(Velocity::from),
             point_distance: point_distance_m,
         };
-        self.laboratory()?.tune(tuning).map_err(refuse)
+        self.laboratory()?.drive.tune(tuning).map_err(refuse)
     }
 
     /// Whether the reference is that of a controller outside.
@@ -142,7 +142,7 @@ impl Simulator {
     /// The ground truth.
     fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let laboratory = self.laboratory()?;
-        let truth = laboratory.truth();
+        let truth = laboratory.drive.world.truth();
         let dictionary = PyDict::new(py);
         for (name, value) in [
             ("t", truth.time_us as f64 * 1e-6),
@@ -186,7 +186,7 @@ impl Simulator {
 
     /// Presses the board's reset button.
     fn press_reset(&self) -> PyResult<()> {
-        self.laboratory()?.press_reset();
+        self.laboratory()?.drive.world.press_reset();
         Ok(())
     }
 

@@ -14,7 +14,7 @@ use singletrack_simavr::{
 
 use super::{Environment, battery_mv, local_time, supply_mv};
 use crate::{
-    car::{Car, ImuReading, MotorPulses},
+    car::{Car, MotorPulses},
     clock::SkewedClock,
     pulses::{Frame, Frames, PulseLog, PulseRecord, width_us},
 };
@@ -31,52 +31,10 @@ pub struct Installation {
     pub image: PathBuf,
 }
 
-/// Errors of the simulated UNO.
+/// Why there is no simulated UNO, or why it has stopped.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum UnoError {
-    /// It has not been built.
-    #[error(
-        "no simulated UNO: no folder {FOLDER:?} with {PROGRAM} and {IMAGE} beside {} or above it; \
-         `cargo uno` builds both, or name the folder in {VARIABLE}",
-        executable.display()
-    )]
-    Missing {
-        /// The program that searched for it.
-        executable: PathBuf,
-    },
-    /// The configured folder lacks a file.
-    #[error("{VARIABLE} names {}, where there is no {file}", folder.display())]
-    Incomplete {
-        /// The folder.
-        folder: PathBuf,
-        /// The missing file.
-        file: &'static str,
-    },
-    /// The image is invalid.
-    #[error("can't read the image {}: {reason}", image.display())]
-    Unreadable {
-        /// The image.
-        image: PathBuf,
-        /// Why it is invalid.
-        reason: String,
-    },
-    /// The image, or the program that ran it, crashed.
-    #[error("{}: {reason}", image.display())]
-    Crashed {
-        /// The image.
-        image: PathBuf,
-        /// Description of the crash.
-        reason: String,
-    },
-    /// The program can't be started.
-    #[error("can't start {}: {reason}", program.display())]
-    Start {
-        /// The program.
-        program: PathBuf,
-        /// The system's error.
-        reason: String,
-    },
-}
+#[error("{0}")]
+pub struct UnoError(pub(super) String);
 
 const VARIABLE: &str = "SINGLETRACK_UNO";
 const FOLDER: &str = "uno";
@@ -98,7 +56,9 @@ impl Installation {
                 (&installation.image, IMAGE),
             ] {
                 if !path.is_file() {
-                    return Err(UnoError::Incomplete { folder, file });
+                    let folder = folder.display();
+                    let why = format!("{VARIABLE} names {folder}, where there is no {file}");
+                    return Err(UnoError(why));
                 }
             }
             return Ok(installation);
@@ -109,7 +69,13 @@ impl Installation {
             .skip(1)
             .map(|folder| Self::in_folder(&folder.join(FOLDER)))
             .find(|found| found.program.is_file() && found.image.is_file())
-            .ok_or(UnoError::Missing { executable })
+            .ok_or_else(|| {
+                UnoError(format!(
+                    "no simulated UNO: no folder {FOLDER:?} with {PROGRAM} and {IMAGE} beside {} \
+                     or above it; `cargo uno` builds both, or name the folder in {VARIABLE}",
+                    executable.display()
+                ))
+            })
     }
 
     /// Runs another image of the same folder alone, for a time in µs, and returns
@@ -121,12 +87,8 @@ impl Installation {
     pub fn measure(&self, file: &str, time_us: u64) -> Result<Figures, UnoError> {
         let image = self.image.with_file_name(file);
         let mut process = Process::start(&self.program, &image)?;
-        let mut ask = |request| {
-            process.ask(&request).map_err(|reason| UnoError::Crashed {
-                image: image.clone(),
-                reason,
-            })
-        };
+        let crashed = |reason: String| UnoError(format!("{}: {reason}", image.display()));
+        let mut ask = |request| process.ask(&request).map_err(crashed);
         ask(Request::Start(ResetFlags::POWER_ON))?;
         ask(Request::Run(Run {
             until: time_us * CYCLES_PER_US,
@@ -134,10 +96,7 @@ impl Installation {
         }))?;
         match ask(Request::Measure)? {
             Reply::Figures(figures) => Ok(figures),
-            reply => Err(UnoError::Crashed {
-                image: image.clone(),
-                reason: format!("expected figures, got {reply:?}"),
-            }),
+            reply => Err(crashed(format!("expected figures, got {reply:?}"))),
         }
     }
 
@@ -157,8 +116,8 @@ const STEP_US: u64 = 1_000;
 #[derive(Debug)]
 pub(super) struct Image {
     process: Process,
-    failure: Option<String>,
-    next_run_us: u64,
+    pub(super) failure: Option<String>,
+    pub(super) next_event_us: u64,
     /// Cycle in which the processor last left its reset.
     started: u64,
     edges: MotorPulses,
@@ -172,21 +131,13 @@ impl Image {
         Ok(Self {
             process: Process::start(&installation.program, &installation.image)?,
             failure: None,
-            next_run_us: 0,
+            next_event_us: 0,
             started: 0,
             edges: MotorPulses::default(),
             motion: Vec::new(),
             frames: Frames::default(),
             bytes_overrun: 0,
         })
-    }
-
-    pub(super) fn failure(&self) -> Option<&str> {
-        self.failure.as_deref()
-    }
-
-    pub(super) const fn next_event_us(&self) -> u64 {
-        self.next_run_us
     }
 
     pub(super) fn hang(&mut self, hang: Hang) {
@@ -222,12 +173,12 @@ impl Image {
         self.frames.jitter as f64 / CYCLES_PER_US as f64
     }
 
-    pub(super) fn take_imu(&mut self, cycle: u64, reading: &ImuReading) {
+    pub(super) fn take_imu(&mut self, cycle: u64, reading: Motion) {
         // While the processor does not run, only the last sample matters.
         if self.motion.len() > 100 {
             self.motion.clear();
         }
-        self.motion.push((cycle, reading.motion()));
+        self.motion.push((cycle, reading));
     }
 
     pub(super) fn restart(&mut self, clock: SkewedClock, now_us: u64, cause: ResetCause) {
@@ -246,16 +197,16 @@ impl Image {
             ResetCause::Unknown => ResetFlags(0),
         }));
         self.started = until;
-        self.next_run_us = now_us;
+        self.next_event_us = now_us;
     }
 
     /// Runs the processor up to now; returns whether the watchdog has reset it.
     pub(super) fn run(&mut self, environment: &mut Environment<'_>) -> bool {
         let now_us = environment.now_us;
-        if now_us < self.next_run_us {
+        if now_us < self.next_event_us {
             return false;
         }
-        self.next_run_us = (now_us / STEP_US + 1) * STEP_US;
+        self.next_event_us = (now_us / STEP_US + 1) * STEP_US;
         let clock = environment.clock;
         let mut received = Vec::new();
         environment
@@ -398,10 +349,8 @@ pub(super) struct Process {
 
 impl Process {
     pub(super) fn start(program: &Path, image: &Path) -> Result<Self, UnoError> {
-        let error = |reason: String| UnoError::Start {
-            program: program.to_owned(),
-            reason,
-        };
+        let error =
+            |reason: String| UnoError(format!("can't start {}: {reason}", program.display()));
         let mut command = Command::new(program);
         // Not interrupted by Ctrl-C: it must end after the simulator.
         #[cfg(unix)]

@@ -14,11 +14,11 @@ use singletrack_protocol::{
     COMMAND_TIME_TO_LIVE_US, Decoder, ResetCause, Telemetry, ToBoard, ToHost, UNNAMED,
 };
 use singletrack_settings::section;
-use singletrack_simavr::{BusFault, Figures, Hang};
+use singletrack_simavr::{BusFault, Figures, Hang, Motion};
 
 use self::{image::Image, native::Native};
 use crate::{
-    car::{BatteryParameters, Car, ImuReading},
+    car::{BatteryParameters, Car},
     clock::SkewedClock,
     pulses::{PulseFilter, PulseLog, PulseRecord},
     random::{Random, Stream},
@@ -131,7 +131,8 @@ pub struct SimulatedBoard {
     battery_noise: Random,
     phase: PowerState,
     machine: Machine,
-    stop_input_open: bool,
+    /// Whether the stop switch is open.
+    pub stop_input_open: bool,
     /// Number of resets since the start, without the power-on.
     pub resets: u64,
     /// The pulses on the pins.
@@ -190,7 +191,7 @@ impl SimulatedBoard {
     /// The native board's code, for inspection; `None` while it does not run.
     pub fn code(&self) -> Option<&Board> {
         match (&self.machine, &self.phase) {
-            (Machine::Native(native), PowerState::Running { .. }) => Some(native.code()),
+            (Machine::Native(native), PowerState::Running { .. }) => Some(&native.board),
             _ => None,
         }
     }
@@ -198,19 +199,19 @@ impl SimulatedBoard {
     /// The last telemetry record that the board has started to send since its
     /// start.
     pub const fn telemetry(&self) -> Option<&Telemetry> {
-        self.monitor.telemetry()
+        self.monitor.telemetry.as_ref()
     }
 
     /// Telemetry time of the newest command that reached the board in time since
     /// its start: board time, in µs. The time to live counts from it.
     pub const fn last_command_us(&self) -> Option<u32> {
-        self.monitor.last_command_us()
+        self.monitor.last_command_us
     }
 
     /// Removes the oldest message from the host that reached the board since its
     /// start. The newest 64 are kept.
     pub fn next_received(&mut self) -> Option<ReceivedMessage> {
-        self.monitor.next_received()
+        self.monitor.received.pop_front()
     }
 
     fn image(&self) -> Option<&Image> {
@@ -227,7 +228,7 @@ impl SimulatedBoard {
 
     /// The error that ended the simulated processor, if any; the board is then off.
     pub fn failure(&self) -> Option<&str> {
-        self.image()?.failure()
+        self.image()?.failure.as_deref()
     }
 
     /// Cost of the image so far; `None` for a native board.
@@ -245,16 +246,11 @@ impl SimulatedBoard {
         self.image().map(Image::jitter_us)
     }
 
-    /// Opens or closes the stop switch.
-    pub const fn set_stop_input_open(&mut self, open: bool) {
-        self.stop_input_open = open;
-    }
-
     /// Hangs the main program until the next reset. A native board has no watchdog
     /// and treats both kinds alike: supervising interrupt and pulses continue.
     pub fn hang(&mut self, hang: Hang) {
         match &mut self.machine {
-            Machine::Native(native) => native.hang(),
+            Machine::Native(native) => native.hung = true,
             Machine::Image(image) => image.hang(hang),
         }
     }
@@ -263,7 +259,7 @@ impl SimulatedBoard {
     /// fault except `None` silences its IMU.
     pub fn set_imu_bus(&mut self, fault: BusFault) {
         match &mut self.machine {
-            Machine::Native(native) => native.silence_imu(fault != BusFault::None),
+            Machine::Native(native) => native.imu_is_silent = fault != BusFault::None,
             Machine::Image(image) => image.set_bus(fault),
         }
     }
@@ -328,12 +324,12 @@ impl SimulatedBoard {
             PowerState::Starting { until_us, .. } => until_us,
             PowerState::Running { .. } => match &self.machine {
                 Machine::Native(native) => native.next_event_us,
-                Machine::Image(image) => image.next_event_us(),
+                Machine::Image(image) => image.next_event_us,
             },
         }
     }
 
-    pub(crate) fn take_imu(&mut self, now_us: u64, reading: &ImuReading) {
+    pub(crate) fn take_imu(&mut self, now_us: u64, reading: Motion) {
         match &mut self.machine {
             Machine::Native(native) => {
                 if let PowerState::Running { started_us } = self.phase {
@@ -438,18 +434,6 @@ struct Monitor {
 }
 
 impl Monitor {
-    fn next_received(&mut self) -> Option<ReceivedMessage> {
-        self.received.pop_front()
-    }
-
-    const fn telemetry(&self) -> Option<&Telemetry> {
-        self.telemetry.as_ref()
-    }
-
-    const fn last_command_us(&self) -> Option<u32> {
-        self.last_command_us
-    }
-
     /// Processes a byte to the board.
     fn host_byte(&mut self, byte: u8, time_us: u64, board_time_us: u32) {
         let Some(Ok(packet)) = self.inbound.push(byte) else {

@@ -2,12 +2,10 @@
 
 use singletrack_board::{Board, ImuHealth, ImuSample, Inputs, MotorPulses, VERSION, axis_map};
 use singletrack_protocol::{ImuAxes, ResetCause};
+use singletrack_simavr::Motion;
 
 use super::{BoardParameters, Environment, battery_mv, local_time, supply_mv};
-use crate::{
-    car::ImuReading,
-    pulses::{PulseRecord, SERVO_FRAME_US},
-};
+use crate::pulses::{PulseRecord, SERVO_FRAME_US};
 
 /// Time after which a silent main loop counts as hung, as in the image's
 /// pulse guard.
@@ -55,7 +53,7 @@ impl Edges {
 #[derive(Debug)]
 pub(super) struct Native {
     parameters: BoardParameters,
-    board: Board,
+    pub(super) board: Board,
     /// Numbers of main loop rounds and servo frames so far.
     polls: u64,
     frames: u64,
@@ -63,10 +61,10 @@ pub(super) struct Native {
     pub(super) next_event_us: u64,
     edges: Edges,
     inputs: Inputs,
-    hung: bool,
+    pub(super) hung: bool,
     /// Board time of the last round of the main loop.
     last_poll_us: u32,
-    imu_is_silent: bool,
+    pub(super) imu_is_silent: bool,
     received: Vec<u8>,
 }
 
@@ -95,26 +93,14 @@ impl Native {
         };
     }
 
-    pub(super) const fn code(&self) -> &Board {
-        &self.board
-    }
-
-    pub(super) const fn hang(&mut self) {
-        self.hung = true;
-    }
-
-    pub(super) const fn silence_imu(&mut self, silent: bool) {
-        self.imu_is_silent = silent;
-    }
-
-    pub(super) fn take_imu(&mut self, board_time_us: u32, reading: &ImuReading) {
+    pub(super) fn take_imu(&mut self, board_time_us: u32, reading: Motion) {
         if !self.imu_is_silent {
             // The sensor turns its values to the car's axes.
             let axes = self
                 .board
                 .configuration()
                 .map_or(ImuAxes::AS_PRINTED, |configuration| configuration.imu_axes);
-            let motion = reading.motion().remapped(axis_map(axes));
+            let motion = reading.remapped(axis_map(axes));
             self.inputs.imu = Some(ImuSample {
                 time_us: board_time_us,
                 linear_acceleration_mm_s2: motion.linear_acceleration_mm_s2,

@@ -25,9 +25,11 @@ impl ImageSize {
     ///
     /// Fails if the file is not a readable image.
     pub fn read(image: &Path) -> Result<Self, UnoError> {
-        let unreadable = |reason: String| UnoError::Unreadable {
-            image: image.to_owned(),
-            reason,
+        let unreadable = |reason: String| {
+            UnoError(format!(
+                "can't read the image {}: {reason}",
+                image.display()
+            ))
         };
         let bytes = std::fs::read(image).map_err(|error| unreadable(error.to_string()))?;
         let file =

@@ -13,7 +13,6 @@ use singletrack_mocap::codec::{CameraTicks, RigidBody};
 use crate::{
     car::{self, Truth},
     clock::{Epoch, SkewedClock},
-    loss::{LossPattern, LossWindow},
     random::{Random, Stream},
 };
 
@@ -114,8 +113,10 @@ pub struct Cameras {
     /// Motions of the first decoys; the others stand.
     motions: Vec<DecoyMotion>,
     last_decoys: Vec<RigidBody>,
-    loss_epoch_us: Option<u64>,
-    epoch: Epoch,
+    /// The zero of the scheduled losses, in µs of the simulation; `None` stops them.
+    pub loss_epoch_us: Option<u64>,
+    /// The zero of the other times in the parameters.
+    pub(crate) epoch: Epoch,
     exposures: u64,
     /// Simulation time of the next exposure, in µs.
     pub(crate) next_exposure_us: u64,
@@ -194,28 +195,6 @@ impl Cameras {
         let decoys: Vec<_> = decoys.map(measure).collect();
         self.last_decoys.clone_from(&decoys);
         decoys
-    }
-
-    /// Sets the epoch of the scheduled losses; `None` stops them. The default is
-    /// the start of the simulation.
-    pub const fn set_loss_epoch(&mut self, epoch_us: Option<u64>) {
-        self.loss_epoch_us = epoch_us;
-    }
-
-    /// Sets the zero of the times in the parameters, except the losses', in µs of the
-    /// simulation.
-    pub(crate) const fn set_epoch(&mut self, epoch_us: Option<u64>) {
-        self.epoch = Epoch::new(epoch_us);
-    }
-
-    /// Replaces the periodic losses.
-    pub const fn set_loss(&mut self, loss: Option<LossPattern>) {
-        self.parameters.loss = loss;
-    }
-
-    /// Adds a single loss, in µs since the losses' epoch.
-    pub fn add_loss_window(&mut self, window: LossWindow) {
-        self.parameters.loss_windows.push(window);
     }
 
     /// Changes the streaming id of the car's body, as an operator can.

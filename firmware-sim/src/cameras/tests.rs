@@ -1,6 +1,7 @@
 use singletrack_mocap::UpAxis;
 
 use super::*;
+use crate::loss::LossWindow;
 
 fn frames(parameters: CameraParameters, truth: Truth, until_us: u64) -> Vec<CameraFrame> {
     let mut cameras = Cameras::new(parameters, 1);
@@ -85,8 +86,8 @@ fn losses_can_be_absent_or_silent_and_start_at_their_epoch() {
         end_us: 200_000,
     };
     let mut cameras = Cameras::new(exact(), 1);
-    cameras.add_loss_window(window);
-    cameras.set_loss_epoch(Some(1_000_000));
+    cameras.parameters.loss_windows.push(window);
+    cameras.loss_epoch_us = Some(1_000_000);
     cameras.parameters.loss_kind = LossKind::Absent;
     for _ in 0..200 {
         let time_us = cameras.next_exposure_us;
@@ -266,7 +267,7 @@ fn nothing_timed_happens_before_its_epoch() {
         1,
     );
     let mut half = |epoch| {
-        cameras.set_epoch(epoch);
+        cameras.epoch = Epoch(epoch);
         let time_us = cameras.next_exposure_us;
         cameras.expose(&Truth {
             time_us,

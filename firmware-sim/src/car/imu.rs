@@ -99,31 +99,6 @@ impl ImuParameters {
     }
 }
 
-/// One sample, in the units of the protocol.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ImuReading {
-    /// Simulation time of the measurement, in µs.
-    pub time_us: u64,
-    /// Acceleration without gravity along the sensor's axes, in mm/s².
-    /// Forward, left, up unless it is turned.
-    pub linear_acceleration_mm_s2: [i16; 3],
-    /// Angular velocity about the same axes, in mrad/s.
-    pub angular_velocity_mrad_s: [i16; 3],
-    /// Attitude as a unit quaternion w, x, y, z, scaled by 2^14.
-    pub attitude_q14: [i16; 4],
-}
-
-impl ImuReading {
-    /// The motion as the sensor's registers hold it.
-    pub(crate) const fn motion(&self) -> Motion {
-        Motion {
-            linear_acceleration_mm_s2: self.linear_acceleration_mm_s2,
-            angular_velocity_mrad_s: self.angular_velocity_mrad_s,
-            attitude_q14: self.attitude_q14,
-        }
-    }
-}
-
 /// Faults of the IMU, beyond its noise and biases.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ImuFault {
@@ -158,20 +133,14 @@ impl ImuFault {
     /// The sample that the board gets for `reading`; `last` is the previous one.
     pub(crate) fn falsify(
         self,
-        mut reading: ImuReading,
-        last: Option<ImuReading>,
+        mut reading: Motion,
+        last: Option<Motion>,
         number: u64,
-    ) -> Option<ImuReading> {
+    ) -> Option<Motion> {
         match self {
             Self::None => {}
             Self::Silent => return None,
-            Self::Stuck => {
-                let time_us = reading.time_us;
-                reading = ImuReading {
-                    time_us,
-                    ..last.unwrap_or(reading)
-                };
-            }
+            Self::Stuck => reading = last.unwrap_or(reading),
             Self::Biased {
                 yaw_rate_mrad_s,
                 forward_mm_s2,
@@ -237,7 +206,7 @@ pub(crate) struct Imu {
     torn_random: Random,
     /// Acceleration taken for gravity, forward and left, in m/s².
     leaked: [f64; 2],
-    last: Option<ImuReading>,
+    last: Option<Motion>,
 }
 
 /// Wheels slower than this do not make the sensor vibrate, in m/s.
@@ -272,7 +241,7 @@ impl Imu {
     }
 
     /// Takes a sample; call it once per period.
-    pub(crate) fn sample(&mut self, truth: &Truth) -> ImuReading {
+    pub(crate) fn sample(&mut self, truth: &Truth) -> Motion {
         let p = &self.parameters;
         let root_period = libm::sqrt(p.period_us as f64 * 1e-6);
         let walk = self.gyro_random.normal3(p.gyro_walk_rad_s * root_period);
@@ -342,8 +311,7 @@ impl Imu {
                     * 1e3,
             );
         }
-        let mut reading = ImuReading {
-            time_us: truth.time_us,
+        let mut reading = Motion {
             linear_acceleration_mm_s2,
             angular_velocity_mrad_s,
             attitude_q14: attitude.map(|component| quantise(component * 16384.0)),
@@ -385,17 +353,15 @@ mod tests {
 
     #[test]
     fn faults_silence_repeat_bias_saturate_or_reverse_the_samples() {
-        let reading = |time_us, value| ImuReading {
-            time_us,
+        let reading = |value| Motion {
             linear_acceleration_mm_s2: [value; 3],
             angular_velocity_mrad_s: [value; 3],
             attitude_q14: [16_384, 0, 0, 0],
         };
-        let falsify =
-            |fault: ImuFault, number| fault.falsify(reading(20, 5), Some(reading(10, 3)), number);
-        assert_eq!(falsify(ImuFault::None, 1), Some(reading(20, 5)));
+        let falsify = |fault: ImuFault, number| fault.falsify(reading(5), Some(reading(3)), number);
+        assert_eq!(falsify(ImuFault::None, 1), Some(reading(5)));
         assert_eq!(falsify(ImuFault::Silent, 1), None);
-        assert_eq!(falsify(ImuFault::Stuck, 1), Some(reading(20, 3)));
+        assert_eq!(falsify(ImuFault::Stuck, 1), Some(reading(3)));
         let biased = ImuFault::Biased {
             yaw_rate_mrad_s: 100,
             forward_mm_s2: i16::MAX,
@@ -405,22 +371,18 @@ mod tests {
         assert_eq!(sample.linear_acceleration_mm_s2, [i16::MAX, 5, 5]);
         let saturated = falsify(ImuFault::Saturated, 1).unwrap();
         assert_eq!(saturated.angular_velocity_mrad_s, [i16::MAX; 3]);
-        assert_eq!(falsify(ImuFault::Erratic, 2), Some(reading(20, 5)));
+        assert_eq!(falsify(ImuFault::Erratic, 2), Some(reading(5)));
         let reversed = falsify(ImuFault::Erratic, 1).unwrap();
         assert_eq!(reversed.linear_acceleration_mm_s2, [-5; 3]);
         let wrong = |number| falsify(ImuFault::WrongBit { every: 100 }, number).unwrap();
-        assert_eq!(wrong(199), reading(20, 5));
+        assert_eq!(wrong(199), reading(5));
         assert_eq!(wrong(100).angular_velocity_mrad_s, [5, 5, 5 + (1 << 14)]);
         assert_eq!(wrong(200).angular_velocity_mrad_s, [5, 5, 5 + i16::MIN]);
         assert_eq!(wrong(300).attitude_q14, [16_384, 1 << 14, 0, 0]);
     }
 
     /// A sensor without noise, and its readings of a constant motion.
-    fn readings(
-        change: impl FnOnce(&mut ImuParameters),
-        truth: Truth,
-        n: usize,
-    ) -> Vec<ImuReading> {
+    fn readings(change: impl FnOnce(&mut ImuParameters), truth: Truth, n: usize) -> Vec<Motion> {
         let mut parameters = ImuParameters {
             gyro_noise_rad_s: 0.0,
             gyro_bias_rad_s: 0.0,
@@ -447,7 +409,7 @@ mod tests {
         }
     }
 
-    fn mounted(mounting_deg: [f64; 3]) -> ImuReading {
+    fn mounted(mounting_deg: [f64; 3]) -> Motion {
         readings(|p| p.mounting_deg = mounting_deg, turning(), 1)[0]
     }
 

@@ -20,7 +20,7 @@ use crate::ranges::{LAG, NOT_NEGATIVE, POSITIVE};
 
 pub use hands::HandMotion;
 pub(crate) use imu::Imu;
-pub use imu::{ImuFault, ImuParameters, ImuReading};
+pub use imu::{ImuFault, ImuParameters};
 pub use motor::{BatteryParameters, EscKind, MotorParameters, Push};
 pub use motor_sensor::{MotorPulses, MotorSensorFault, MotorSensorParameters};
 pub use vehicle::Car;

@@ -136,7 +136,7 @@ pub(crate) enum MotorAction {
 #[derive(Clone, Debug)]
 pub(crate) struct SpeedController {
     neutral_since_us: Option<u64>,
-    armed: bool,
+    pub(crate) armed: bool,
     reverse_ready: bool,
     pub(crate) drive: MotorAction,
     /// Number and sum of the pulses from which neutral is learned, in µs.
@@ -157,10 +157,6 @@ impl SpeedController {
             learned: 0,
             learned_sum_us: 0,
         }
-    }
-
-    pub(crate) const fn is_armed(&self) -> bool {
-        self.armed
     }
 
     /// Releases the motor after a loss of the signal.
@@ -324,11 +320,11 @@ section! {
 /// The battery's charge.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Battery {
-    drawn_ah: f64,
+    pub(crate) drawn_ah: f64,
     current_a: f64,
     /// A dip is underway.
-    dips: bool,
-    is_unplugged: bool,
+    pub(crate) dips: bool,
+    pub(crate) is_unplugged: bool,
 }
 
 impl Battery {
@@ -347,25 +343,6 @@ impl Battery {
                 + p.motor_a_per_m_s2 * (acceleration * speed.signum()).max(0.0);
         }
         self.drawn_ah += self.current_a * seconds / 3600.0;
-    }
-
-    /// Draws a charge, in Ah.
-    pub(crate) fn drain(&mut self, charge_ah: f64) {
-        self.drawn_ah += charge_ah;
-    }
-
-    /// Begins or ends a dip.
-    pub(crate) const fn set_dip(&mut self, dips: bool) {
-        self.dips = dips;
-    }
-
-    /// Unplugs the battery, or plugs it in.
-    pub(crate) const fn set_plugged(&mut self, plugged: bool) {
-        self.is_unplugged = !plugged;
-    }
-
-    pub(crate) const fn is_plugged(&self) -> bool {
-        !self.is_unplugged
     }
 
     /// Voltage at the terminals, in V.

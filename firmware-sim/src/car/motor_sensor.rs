@@ -1,6 +1,6 @@
 //! The motor's pulse sensor: a pulse every few millimetres of travel.
 
-use serde::{Deserialize, Serialize};
+use singletrack_control::words;
 use singletrack_settings::section;
 
 use crate::{
@@ -25,21 +25,20 @@ section! {
     ringing_us: u64 = 40;
 }
 
-/// Faults of the motor's pulse sensor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum MotorSensorFault {
-    /// No fault.
-    #[default]
-    None,
-    /// No pulses.
-    Gone,
-    /// Every pulse is doubled.
-    Doubled,
-    /// Every other pulse is missing.
-    Halved,
-    /// The right number of pulses, unevenly spaced.
-    Erratic,
+words! {
+    /// Faults of the motor's pulse sensor.
+    pub enum MotorSensorFault {
+        /// No fault.
+        None = "none",
+        /// No pulses.
+        Gone = "gone",
+        /// Every pulse is doubled.
+        Doubled = "doubled",
+        /// Every other pulse is missing.
+        Halved = "halved",
+        /// The right number of pulses, unevenly spaced.
+        Erratic = "erratic",
+    }
 }
 
 impl MotorSensorFault {

@@ -43,7 +43,8 @@ pub struct Car {
     /// The ESC's switch, and the relay in its supply.
     esc_is_switched_on: bool,
     kill_output: bool,
-    epoch: Epoch,
+    /// The zero of the times in the parameters.
+    pub(crate) epoch: Epoch,
     /// Whether the parameters have timed events.
     has_events: bool,
     /// What has happened by the present time.
@@ -53,7 +54,8 @@ pub struct Car {
     esc_last_pulse_us: u64,
     battery: Battery,
     sensor: MotorSensor,
-    sensor_fault: MotorSensorFault,
+    /// The fault of the motor's pulse sensor.
+    pub sensor_fault: MotorSensorFault,
     hands: Hands,
 }
 
@@ -123,12 +125,7 @@ impl Car {
     /// still act.
     pub fn place(&mut self, pose: StartPose) {
         self.state = CarState {
-            track: SingleTrackState {
-                x: pose.x_m,
-                y: pose.y_m,
-                yaw: pose.yaw_rad,
-                ..SingleTrackState::default()
-            },
+            track: standing([pose.x_m, pose.y_m], pose.yaw_rad),
             ..CarState::default()
         };
         self.servo_target = 0.0;
@@ -139,7 +136,7 @@ impl Car {
     pub fn collide(&mut self) {
         let SingleTrackState { x, y, yaw, .. } = self.state.track;
         self.state.wheel_speed = 0.0;
-        self.rest([x, y], yaw);
+        self.state.track = standing([x, y], yaw);
     }
 
     /// Begins what a person does with the car; a motion that is under way ends where it is.
@@ -149,7 +146,7 @@ impl Car {
         if !self.wheels_are_up() {
             self.state.wheel_speed = 0.0;
         }
-        self.rest([track.x, track.y], track.yaw);
+        self.state.track = standing([track.x, track.y], track.yaw);
         self.hands
             .begin(motion, self.now_us, [track.x, track.y], track.yaw);
     }
@@ -164,41 +161,15 @@ impl Car {
         self.hands.wheels_are_up(self.now_us)
     }
 
-    /// Whether the ESC drives the motor, in either direction.
-    pub fn motor_is_driven(&self) -> bool {
-        self.is_driven()
-    }
-
     /// Whether the servo pushes against a mechanical stop: it buzzes.
     pub fn servo_strains(&self) -> bool {
         let servo = &self.parameters.servo;
         servo.free_angle(self.servo_held_us).abs() > servo.stop_rad + 0.01
     }
 
-    /// The car stands here, or is held.
-    fn rest(&mut self, [x, y]: [f64; 2], yaw: f64) {
-        self.state.track = SingleTrackState {
-            x,
-            y,
-            yaw,
-            ..SingleTrackState::default()
-        };
-    }
-
     /// Sets the seed of the sensors' random numbers.
     pub(crate) fn seed(&mut self, seed: u64) {
         self.sensor.seed(seed);
-    }
-
-    /// Sets the zero of the times in the parameters, in µs of the simulation; the default
-    /// is its start. Nothing timed happens without one.
-    pub(crate) const fn set_epoch(&mut self, epoch_us: Option<u64>) {
-        self.epoch = Epoch::new(epoch_us);
-    }
-
-    /// Sets the fault of the motor's pulse sensor.
-    pub fn set_motor_sensor_fault(&mut self, fault: MotorSensorFault) {
-        self.sensor_fault = fault;
     }
 
     /// Connects the servo so that it turns the other way, or as configured; of no effect on
@@ -219,7 +190,7 @@ impl Car {
 
     /// Unplugs the battery, or plugs it in. The board stays on its USB; the servo is limp.
     pub fn set_battery_plugged(&mut self, plugged: bool) {
-        self.battery.set_plugged(plugged);
+        self.battery.is_unplugged = !plugged;
         self.cut_esc_without_power();
     }
 
@@ -234,7 +205,7 @@ impl Car {
     /// has one.
     pub const fn esc_has_power(&self) -> bool {
         self.esc_is_switched_on
-            && self.battery.is_plugged()
+            && !self.battery.is_unplugged
             && !self.happened.esc_reboots
             && (self.kill_output || !self.parameters.motor.kill_relay)
     }
@@ -260,7 +231,8 @@ impl Car {
         }
     }
 
-    fn is_driven(&self) -> bool {
+    /// Whether the ESC drives the motor, in either direction.
+    pub fn is_driven(&self) -> bool {
         matches!(self.drive(), MotorAction::Towards(settled) if settled != 0.0)
     }
 
@@ -298,7 +270,7 @@ impl Car {
         let place = self.hands.end(now_us);
         self.happened = happened;
         if happened.supply_dips != was.supply_dips {
-            self.battery.set_dip(happened.supply_dips);
+            self.battery.dips = happened.supply_dips;
             self.servo_pending.clear();
         }
         if happened.esc_reboots && !was.esc_reboots {
@@ -320,13 +292,13 @@ impl Car {
             self.state.wheel_speed = speed;
         }
         if let Some(place) = place {
-            self.rest(place.position, place.yaw);
+            self.state.track = standing(place.position, place.yaw);
         }
     }
 
     /// Draws charge from the battery, in Ah; a negative charge restores it.
     pub fn drain_battery(&mut self, charge_ah: f64) {
-        self.battery.drain(charge_ah);
+        self.battery.drawn_ah += charge_ah;
     }
 
     /// Applies one servo frame: both pulses start at the car's present time. Zero
@@ -337,7 +309,7 @@ impl Car {
         } else {
             (servo_us, esc_us)
         };
-        if servo_us != 0 && !self.happened.supply_dips && self.battery.is_plugged() {
+        if servo_us != 0 && !self.happened.supply_dips && !self.battery.is_unplugged {
             self.servo_pending.push_back(Pending {
                 due_us: self.now_us + self.parameters.servo.dead_time_us,
                 pulse_us: servo_us,
@@ -365,7 +337,7 @@ impl Car {
 
     /// Whether the ESC has been at neutral long enough to drive.
     pub const fn esc_is_armed(&self) -> bool {
-        self.esc.is_armed()
+        self.esc.armed
     }
 
     /// Advances to `until_us`; an earlier time has no effect.
@@ -529,13 +501,7 @@ impl Car {
             h,
         );
         if let Some(moved) = self.hands.motion(end_us) {
-            let [x, y] = moved.place.position;
-            next.track = SingleTrackState {
-                x,
-                y,
-                yaw: moved.place.yaw,
-                ..SingleTrackState::default()
-            };
+            next.track = standing(moved.place.position, moved.place.yaw);
             if !self.hands.wheels_are_up(end_us) {
                 // The rear wheels roll as far as their axle moves along the car.
                 next.wheel_speed = moved.velocity[0];
@@ -614,6 +580,16 @@ impl Car {
         } else {
             acceleration + downhill
         }
+    }
+}
+
+/// The car stands here, or is held.
+fn standing([x, y]: [f64; 2], yaw: f64) -> SingleTrackState {
+    SingleTrackState {
+        x,
+        y,
+        yaw,
+        ..SingleTrackState::default()
     }
 }
 

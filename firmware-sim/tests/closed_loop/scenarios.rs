@@ -218,10 +218,7 @@ fn a_queue_released_by_a_stuck_line_does_not_drive() {
 fn a_dead_motor_sensor_stops_the_car() {
     let mut bench = armed(seeded(1));
     bench.drive(100, 400, 0, |_| {});
-    bench
-        .world
-        .car
-        .set_motor_sensor_fault(MotorSensorFault::Gone);
+    bench.world.car.sensor_fault = MotorSensorFault::Gone;
     let mut fastest = 0.0_f64;
     bench.drive(100, 400, 0, |bench| {
         fastest = fastest.max(bench.world.truth().wheel_speed);

@@ -394,7 +394,7 @@ fn a_configured_stop_switch_gives_neutral_at_once() {
     drive.prepare();
     drive.drive(100, 400, 0, |_| {});
     assert_eq!(drive.host.mode(), Some(BoardMode::Driving));
-    drive.world.board.set_stop_input_open(true);
+    drive.world.board.stop_input_open = true;
     let opened_us = drive.world.now_us;
     drive.drive(20, 400, 0, |_| {});
     assert_eq!(drive.host.mode(), Some(BoardMode::EmergencyStopped));

@@ -25,7 +25,7 @@ use std::{
 
 use singletrack_mocap::{
     BodyState, DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, DatagramOutcome,
-    NameText, PoseFrame, Session, SessionConfig, SessionEvent, Transport, UpAxis,
+    NameText, PoseFrame, PoseSource as _, Session, SessionConfig, SessionEvent, Transport, UpAxis,
     codec::{BitstreamVersion, MAX_DATAGRAM_LEN},
 };
 

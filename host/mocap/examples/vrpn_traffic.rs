@@ -18,8 +18,8 @@ use std::{
 };
 
 use singletrack_mocap::{
-    BodyState, Input, LocalEnd, NameText, Output, PoseSource as _, Protocol, SessionConfig, Source,
-    Transport, UpAxis,
+    BodyState, Input, LocalEnd, NameText, Output, Protocol, SessionConfig, Source, Transport,
+    UpAxis,
 };
 
 const SERVER: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);

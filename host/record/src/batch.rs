@@ -6,16 +6,6 @@ use serde::Serialize;
 
 use crate::{Channel, ClockMapping, message};
 
-/// A message can't be encoded, because a text in it is longer than 4 GB.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("can't encode a message of {topic}: {reason}")]
-pub struct EncodeError {
-    /// Its topic.
-    pub topic: &'static str,
-    /// Why it failed.
-    pub reason: String,
-}
-
 /// A message on a channel. Times are on the wall clock, in ns since 1970, by the mapping
 /// taken when the record began.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,7 +61,7 @@ impl Batch {
         channel: Channel,
         sample_time_ns: u64,
         message: &impl Serialize,
-    ) -> Result<(), EncodeError> {
+    ) -> Result<(), String> {
         self.add_encoded(channel, sample_time_ns, |bytes| {
             message::encode(message, bytes)
         })
@@ -83,12 +73,11 @@ impl Batch {
         channel: Channel,
         sample_time_ns: u64,
         encode: impl FnOnce(&mut Vec<u8>) -> Result<(), cdr_encoding::Error>,
-    ) -> Result<(), EncodeError> {
+    ) -> Result<(), String> {
         let start = self.bytes.len();
-        encode(&mut self.bytes).map_err(|error| EncodeError {
-            topic: channel.topic(),
-            reason: error.to_string(),
-        })?;
+        // Only a text that is longer than 4 GB can't be.
+        encode(&mut self.bytes)
+            .map_err(|error| format!("can't encode a message of {}: {error}", channel.topic()))?;
         self.messages.push(Encoded {
             channel,
             publish_time_ns: self.wall_ns_at(sample_time_ns),

@@ -34,7 +34,7 @@ mod tick;
 mod topic;
 mod value;
 
-pub use batch::{EncodeError, Publication};
+pub use batch::Publication;
 pub use derive::Encoder;
 pub use digest::Digest;
 pub use entry::{
@@ -44,7 +44,7 @@ pub use entry::{
 #[cfg(feature = "files")]
 pub use file::{
     Ending, FeedInput, FeedOutput, Finished, Reader, RecordError, Recorded, Recorder,
-    RecorderThread, Recovery, feed, part_path, put_in_place, recover, replace,
+    RecorderThread, Recovery, feed, parse_record, part_path, put_in_place, recover, replace,
 };
 pub use replay::{Difference, Replay, ReplayError};
 pub use standard::{BASE_FRAME, MAP_FRAME, ODOM_FRAME, StandardTopic};

@@ -131,7 +131,9 @@ impl Instance {
     fn read(&mut self) {
         let (truth, tick) = match &self.simulated {
             Some(Simulated::Car(car)) => (car.truth(), None),
-            Some(Simulated::System(laboratory, _)) => (laboratory.truth(), laboratory.last()),
+            Some(Simulated::System(laboratory, _)) => {
+                (laboratory.drive.world.truth(), laboratory.last())
+            }
             None => return,
         };
         let [front, point] = self.distances;

@@ -323,10 +323,15 @@ impl<'a> Run<'a> {
         let (at, for_us) = self.loss;
         let start_us = self.drive.next_tick_us() + (at * 1e6) as u64;
         if for_us > 0 {
-            self.drive.world.cameras.add_loss_window(LossWindow {
-                start_us,
-                end_us: start_us + for_us,
-            });
+            self.drive
+                .world
+                .cameras
+                .parameters
+                .loss_windows
+                .push(LossWindow {
+                    start_us,
+                    end_us: start_us + for_us,
+                });
         }
     }
 

@@ -6,8 +6,8 @@ use singletrack_control::{Estimate, Position, VehicleParameters, front_point};
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_record::{Entry, Reader, Topic};
 use singletrack_scenario::simulate::{
-    self, ControlSection, HEADER, IdealError, MarkerLoss, PlantKind, Row, RunSection, Scenario,
-    SimulateError, StartSection,
+    self, ControlSection, HEADER, MarkerLoss, PlantKind, Row, RunSection, Scenario, SimulateError,
+    StartSection,
 };
 use singletrack_statistics::RootMeanSquare;
 
@@ -136,25 +136,22 @@ impl Experiment {
         let rows = loop {
             match simulate::simulate(&scenario) {
                 Ok(simulation) => break simulation.rows,
-                // The result is the drive up to there.
-                Err(SimulateError::Ideal(error)) => {
-                    let Some(time) = singular_at(&error) else {
-                        return Err(SimulateError::Ideal(error).into());
+                // Without a solution, the result is the drive up to there.
+                Err(error) => {
+                    let (time, what) = match &error {
+                        SimulateError::Law { time, .. } => (*time, "the law has no answer"),
+                        SimulateError::Integration(error) => {
+                            (error.time, "the paper's equations have no solution")
+                        }
+                        _ => return Err(error.into()),
                     };
-                    ended.get_or_insert_with(|| {
-                        let what = match error {
-                            IdealError::Law { .. } => "the law has no answer",
-                            _ => "the paper's equations have no solution",
-                        };
-                        format!("{what} from t = {time:.2} s on")
-                    });
+                    ended.get_or_insert_with(|| format!("{what} from t = {time:.2} s on"));
                     let before = ((time / ROW_S).ceil() - 1.0) * ROW_S;
                     if before < ROW_S || before >= scenario.run.duration_s {
-                        return Err(SimulateError::Ideal(error).into());
+                        return Err(error.into());
                     }
                     scenario.run.duration_s = before;
                 }
-                Err(error) => return Err(error.into()),
             }
         };
         Ok(Run {
@@ -205,15 +202,6 @@ impl Experiment {
             lost: scenario.marker_loss.iter().map(span).collect(),
             ended: simulation.notes.into_iter().next(),
         })
-    }
-}
-
-/// The time at which the equations or the law had no solution, in s.
-const fn singular_at(error: &IdealError) -> Option<f64> {
-    match error {
-        IdealError::Law { time, .. } => Some(*time),
-        IdealError::Integration(error) => Some(error.time),
-        IdealError::Scenario(_) => None,
     }
 }
 

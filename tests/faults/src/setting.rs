@@ -491,10 +491,8 @@ pub(crate) fn hold(world: &mut World, situation: &Situation, faults: &[Fault]) {
     world.wire.faults = wire;
     world.set_cable(!is_active(FaultKind::LineUnplugged));
     world.set_board_power(!is_active(FaultKind::BoardOff));
-    world.set_imu_fault(imu);
-    world.car.set_motor_sensor_fault(motor);
+    world.imu_fault = imu;
+    world.car.sensor_fault = motor;
     world.car.set_esc_power(!is_active(FaultKind::EscOff));
-    world
-        .board
-        .set_stop_input_open(is_active(FaultKind::StopInputOpen));
+    world.board.stop_input_open = is_active(FaultKind::StopInputOpen);
 }

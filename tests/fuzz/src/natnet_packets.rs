@@ -525,14 +525,7 @@ impl Bench {
             assert!(wake_ns > self.now_ns, "a wake-up in the past");
         }
         let counters = self.session.counters();
-        let rejected = &counters.rejected;
-        let rejected = rejected.not_finite
-            + rejected.not_unit_quaternion
-            + rejected.duplicate_id
-            + rejected.mean_error
-            + rejected.capture_time
-            + rejected.jump
-            + rejected.flip;
+        let rejected = counters.rejected.total();
         assert_eq!(
             counters.session.frames,
             counters.valid + counters.untracked + counters.absent + counters.unbound + rejected,

@@ -84,7 +84,7 @@ impl Guard {
             )
         );
         let free = !truth.held;
-        let driven = free && !armed && world.car.motor_is_driven();
+        let driven = free && !armed && world.car.is_driven();
         self.driven_since = driven.then(|| self.driven_since.unwrap_or(now_s));
         let runs_on = self
             .driven_since

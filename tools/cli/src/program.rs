@@ -164,7 +164,9 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
                 }
                 (None, SimulateFormat::Text) => writeln!(text, "{simulation}")?,
                 (None, SimulateFormat::Digest) => {
-                    let digest = simulation.digest.ok_or(simulate::SimulateError::NoDigest)?;
+                    let digest = simulation
+                        .digest
+                        .ok_or(simulate::SimulateError::NoPilot("no digest"))?;
                     writeln!(text, "{digest}")?;
                 }
                 (None, SimulateFormat::Csv) => simulate::write_csv(&simulation.rows, &mut text)?,

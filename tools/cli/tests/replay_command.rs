@@ -457,7 +457,7 @@ fn reconfigured(path: &Path, tell: bool) {
     };
     let mut config: Config = daemon_config(Drive::following(reference(1.5)));
     let mut drive = VirtualDrive::new(config.clone(), 1, SimulationConfig::default()).unwrap();
-    let mut record = VirtualRecord::start(path, &mut drive, &config, 1).unwrap();
+    let mut record = VirtualRecord::start(Some(path), &mut drive, &config, 1).unwrap();
     config.reference = reference(2.0);
     for _ in 0..100 {
         drive.step();

@@ -143,7 +143,9 @@ fn lose(
     drive
         .world
         .cameras
-        .add_loss_window(LossWindow { start_us, end_us });
+        .parameters
+        .loss_windows
+        .push(LossWindow { start_us, end_us });
 
     let mut last: Option<[f64; 2]> = None;
     let mut way = 0.0;

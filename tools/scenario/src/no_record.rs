@@ -21,20 +21,7 @@ impl VirtualRecord {
     ///
     /// Always.
     pub fn start(
-        _path: &Path,
-        _drive: &mut VirtualDrive,
-        _config: &Config,
-        _seed: u64,
-    ) -> Result<Self, VirtualRecordError> {
-        Err(VirtualRecordError)
-    }
-
-    /// Refuses to start a record.
-    ///
-    /// # Errors
-    ///
-    /// Always.
-    pub fn in_memory(
+        _path: Option<&Path>,
         _drive: &mut VirtualDrive,
         _config: &Config,
         _seed: u64,

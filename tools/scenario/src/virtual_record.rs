@@ -22,36 +22,24 @@ pub enum VirtualRecordError {
 pub struct VirtualRecord(Recorder);
 
 impl VirtualRecord {
-    /// Starts the record at `path`. The drive must not have begun; it keeps its entries
-    /// from now on.
+    /// Starts the record at `path`, or in memory without one: see [`VirtualRecord::into_bytes`]. The
+    /// drive must not have begun; it keeps its entries from now on.
     ///
     /// # Errors
     ///
     /// The file exists or can't be written.
     pub fn start(
-        path: &Path,
+        path: Option<&Path>,
         drive: &mut VirtualDrive,
         config: &Config,
         seed: u64,
     ) -> Result<Self, VirtualRecordError> {
         let meta = record_meta(config, Some(seed), ClockMapping::VIRTUAL)?;
         drive.keep_entries();
-        Ok(Self(Recorder::create(path, &meta)?.without_timed_flushes()))
-    }
-
-    /// Starts a record in memory: see [`VirtualRecord::into_bytes`]. The drive must not have begun.
-    ///
-    /// # Errors
-    ///
-    /// The configuration can't be written.
-    pub fn in_memory(
-        drive: &mut VirtualDrive,
-        config: &Config,
-        seed: u64,
-    ) -> Result<Self, VirtualRecordError> {
-        let meta = record_meta(config, Some(seed), ClockMapping::VIRTUAL)?;
-        drive.keep_entries();
-        Ok(Self(Recorder::in_memory(&meta)?))
+        Ok(Self(match path {
+            Some(path) => Recorder::create(path, &meta)?.without_timed_flushes(),
+            None => Recorder::in_memory(&meta)?,
+        }))
     }
 
     /// Writes the entries that the drive has kept since the last call.

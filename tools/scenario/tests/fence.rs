@@ -43,10 +43,15 @@ fn drive(config: &Config, seed: u64, blind_after: Option<f64>) -> (f64, Option<R
     drive.start().unwrap();
     if let Some(seconds) = blind_after {
         let start_us = drive.next_tick_us() + (seconds * 1e6) as u64;
-        drive.world.cameras.add_loss_window(LossWindow {
-            start_us,
-            end_us: start_us + 60_000_000,
-        });
+        drive
+            .world
+            .cameras
+            .parameters
+            .loss_windows
+            .push(LossWindow {
+                start_us,
+                end_us: start_us + 60_000_000,
+            });
     }
     let fence = config.fence.fence(&config.vehicle).unwrap();
     let mut least = f64::INFINITY;

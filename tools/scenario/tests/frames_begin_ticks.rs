@@ -38,7 +38,7 @@ fn ticks(
         let start_us = start_us + (from * 1e6) as u64;
         let end_us = start_us + (seconds * 1e6) as u64;
         let window = LossWindow { start_us, end_us };
-        drive.world.cameras.add_loss_window(window);
+        drive.world.cameras.parameters.loss_windows.push(window);
     }
     let mut ticks = Vec::new();
     while drive.now_us() < start_us + 10_000_000 {

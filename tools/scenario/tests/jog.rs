@@ -202,7 +202,7 @@ fn a_stop_switch_ends_at_neutral_and_is_latched() {
     start_jogging(&mut drive);
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
     let opened_us = drive.world.now_us;
-    drive.world.board.set_stop_input_open(true);
+    drive.world.board.stop_input_open = true;
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
     let neutral = neutral_after(&drive, opened_us).unwrap();
     assert!(neutral <= 40_000, "{neutral} us");
@@ -276,10 +276,7 @@ fn ten_seconds_of_turning_wheels_end_it() {
 #[test]
 fn a_dead_pulse_sensor_ends_it_within_0_7_s() {
     let mut drive = jogging();
-    drive
-        .world
-        .car
-        .set_motor_sensor_fault(MotorSensorFault::Gone);
+    drive.world.car.sensor_fault = MotorSensorFault::Gone;
     let begun_us = drive.world.now_us;
     hold(&mut drive, pulses(STRAIGHT_US, 1_600), 3_000);
     assert_eq!(board(&drive), (BoardMode::Failsafe, StopCause::MotorSensor));
@@ -414,7 +411,7 @@ impl Hand {
         }
         if self.drive.mode() == Mode::Fault && self.random.below(100) == 0 {
             let world = &mut self.drive.world;
-            world.board.set_stop_input_open(false);
+            world.board.stop_input_open = false;
             world.press_reset();
         }
         let truth = self.drive.step().truth;
@@ -440,12 +437,12 @@ impl Hand {
             1 => self.drive.world.press_reset(),
             2 => {
                 let board = &mut self.drive.world.board;
-                board.set_stop_input_open(true);
+                board.stop_input_open = true;
             }
             3 => {
                 self.sensor_is_dead = true;
                 let car = &mut self.drive.world.car;
-                car.set_motor_sensor_fault(MotorSensorFault::Gone);
+                car.sensor_fault = MotorSensorFault::Gone;
             }
             4 => self.drive.request(PilotRequest::Disarm).unwrap(),
             5 => self.drive.request(PilotRequest::OperatorGone).unwrap(),

@@ -199,10 +199,15 @@ fn the_host_disarms_a_rolling_car_without_poses_before_the_board_stops_it() {
             let mut drive =
                 VirtualDrive::with_options(config(period_ms), simulation, options).unwrap();
             let start_us = drive.start().unwrap().now.0 / 1_000 + 2_000_000 + loss_ms * 137;
-            drive.world.cameras.add_loss_window(LossWindow {
-                start_us,
-                end_us: start_us + loss_ms * 1_000,
-            });
+            drive
+                .world
+                .cameras
+                .parameters
+                .loss_windows
+                .push(LossWindow {
+                    start_us,
+                    end_us: start_us + loss_ms * 1_000,
+                });
             while drive.next_tick_us() < start_us + 1_500_000 {
                 let reason = drive.step().tick.output.reason;
                 assert_ne!(

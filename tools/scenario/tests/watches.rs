@@ -71,10 +71,7 @@ fn a_dead_sensor_stops_the_car_within_a_quarter_of_a_metre() {
     for distance_um in [1_000, 3_000, 6_000, 12_000, 25_000, 30_000] {
         let config = circle(distance_um);
         let mut drive = VirtualDrive::new(config, 1, simulation(distance_um)).unwrap();
-        drive
-            .world
-            .car
-            .set_motor_sensor_fault(MotorSensorFault::Gone);
+        drive.world.car.sensor_fault = MotorSensorFault::Gone;
         let start = drive.start().unwrap().truth;
         let mut way = 0.0;
         let mut last = Position::new(start.x, start.y);

@@ -98,97 +98,91 @@ impl<'a> Frame<'a> {
     ) -> Result<Self, DecodeError> {
         let mut reader = packet.reader();
         let number = reader.i32("frame number")?;
-        let mut walk = Walk {
-            reader: &mut reader,
-            version,
-        };
         let mut sections = SectionCounts::default();
 
-        (sections.marker_sets, _) = walk.section("marker set count", 5, |reader| {
+        (sections.marker_sets, _) = reader.section(version, "marker set count", 5, |reader| {
             reader.c_bytes("marker set name")?;
             let markers = reader.count(MARKER_LEN, "marker count")?;
             reader.skip(markers, MARKER_LEN, "markers")
         })?;
-        (sections.other_markers, _) = walk.section("other marker count", MARKER_LEN, |reader| {
-            reader.skip(1, MARKER_LEN, "other marker")
-        })?;
+        (sections.other_markers, _) =
+            reader.section(version, "other marker count", MARKER_LEN, |reader| {
+                reader.skip(1, MARKER_LEN, "other marker")
+            })?;
         let bodies;
         (sections.rigid_bodies, bodies) =
-            walk.section("rigid body count", RigidBody::MIN_LEN, |reader| {
+            reader.section(version, "rigid body count", RigidBody::LEN, |reader| {
                 RigidBody::skip(reader, 1, version)
             })?;
-        (sections.skeletons, _) = walk.section("skeleton count", 8, |reader| {
+        (sections.skeletons, _) = reader.section(version, "skeleton count", 8, |reader| {
             reader.i32("skeleton id")?;
-            let bones = reader.count(RigidBody::MIN_LEN, "bone count")?;
+            let bones = reader.count(RigidBody::LEN, "bone count")?;
             RigidBody::skip(reader, bones, version)
         })?;
         let labelled_marker_len = labelled_marker_len(version);
         if version.has_assets() {
-            (sections.assets, _) = walk.section("asset count", 12, |reader| {
+            (sections.assets, _) = reader.section(version, "asset count", 12, |reader| {
                 reader.i32("asset id")?;
-                let bodies = reader.count(RigidBody::MIN_LEN, "asset rigid body count")?;
+                let bodies = reader.count(RigidBody::LEN, "asset rigid body count")?;
                 RigidBody::skip(reader, bodies, version)?;
                 let markers = reader.count(labelled_marker_len, "asset marker count")?;
                 reader.skip(markers, labelled_marker_len, "asset markers")
             })?;
         }
-        (sections.labelled_markers, _) =
-            walk.section("labelled marker count", labelled_marker_len, |reader| {
-                reader.skip(1, labelled_marker_len, "labelled marker")
-            })?;
+        (sections.labelled_markers, _) = reader.section(
+            version,
+            "labelled marker count",
+            labelled_marker_len,
+            |reader| reader.skip(1, labelled_marker_len, "labelled marker"),
+        )?;
         if version.has_force_plates() {
             (sections.force_plates, _) =
-                walk.section("force plate count", 8, skip_analog_channels)?;
+                reader.section(version, "force plate count", 8, skip_analog_channels)?;
         }
         if version.has_devices() {
-            (sections.devices, _) = walk.section("device count", 8, skip_analog_channels)?;
+            (sections.devices, _) =
+                reader.section(version, "device count", 8, skip_analog_channels)?;
         }
-        Self {
+        let rigid_bodies = RigidBodies {
+            reader: bodies,
+            left: sections.rigid_bodies,
+            version,
+        };
+        // In the order on the wire.
+        let frame = Self {
             number,
             sections,
-            timecode: [0; 2],
-            timestamp_s: 0.0,
-            ticks: None,
-            precision_time: None,
-            latency: None,
-            flags: FrameFlags(0),
-            rigid_bodies: RigidBodies::new(bodies, sections.rigid_bodies, version),
-        }
-        .with_tail(&mut reader, version)
-    }
-
-    /// Reads the fields after the sections, to the end.
-    fn with_tail(
-        mut self,
-        reader: &mut Reader<'_>,
-        version: BitstreamVersion,
-    ) -> Result<Self, DecodeError> {
-        if version.has_latency() {
-            self.latency = Some(reader.f32("latency")?);
-        }
-        self.timecode = [reader.u32("timecode")?, reader.u32("timecode subframe")?];
-        self.timestamp_s = reader.f64("timestamp")?;
-        if version.has_camera_ticks() {
-            self.ticks = Some(CameraTicks {
-                mid_exposure: reader.u64("mid-exposure ticks")?,
-                received: reader.u64("received ticks")?,
-                transmit: reader.u64("transmit ticks")?,
-            });
-        }
-        if version.has_precision_time() {
-            self.precision_time = Some(PrecisionTime {
-                seconds: reader.u32("precision seconds")?,
-                fraction: reader.u32("precision fraction")?,
-            });
-        }
-        self.flags = FrameFlags(reader.u16("frame flags")?);
+            rigid_bodies,
+            latency: match version.has_latency() {
+                true => Some(reader.f32("latency")?),
+                false => None,
+            },
+            timecode: [reader.u32("timecode")?, reader.u32("timecode subframe")?],
+            timestamp_s: reader.f64("timestamp")?,
+            ticks: match version.has_camera_ticks() {
+                true => Some(CameraTicks {
+                    mid_exposure: reader.u64("mid-exposure ticks")?,
+                    received: reader.u64("received ticks")?,
+                    transmit: reader.u64("transmit ticks")?,
+                }),
+                false => None,
+            },
+            precision_time: match version.has_precision_time() {
+                true => Some(PrecisionTime {
+                    seconds: reader.u32("precision seconds")?,
+                    fraction: reader.u32("precision fraction")?,
+                }),
+                false => None,
+            },
+            flags: FrameFlags(reader.u16("frame flags")?),
+        };
         let offset = reader.offset();
         let value = reader.i32("end tag")?;
         reader.finish("the frame")?;
         if value != 0 {
             return Err(DecodeError::EndTag { offset, value });
         }
-        Ok(self)
+        Ok(frame)
     }
 
     /// The bodies of the rigid-body section in wire order. Bones of skeletons and bodies
@@ -215,27 +209,23 @@ fn skip_analog_channels(reader: &mut Reader<'_>) -> Result<(), DecodeError> {
     Ok(())
 }
 
-struct Walk<'r, 'a> {
-    reader: &'r mut Reader<'a>,
-    version: BitstreamVersion,
-}
-
-impl<'a> Walk<'_, 'a> {
+impl<'a> Reader<'a> {
     /// Walks one section, and checks its size where the version has one.
     /// Returns the number of entries and a reader at the first one.
     fn section(
         &mut self,
+        version: BitstreamVersion,
         field: &'static str,
         min_entry_len: usize,
         mut entry: impl FnMut(&mut Reader<'a>) -> Result<(), DecodeError>,
     ) -> Result<(usize, Reader<'a>), DecodeError> {
-        let offset = self.reader.offset();
-        let count = self.reader.length(field)?;
-        let sized = self.version.has_section_sizes();
+        let offset = self.offset();
+        let count = self.length(field)?;
+        let sized = version.has_section_sizes();
         let body = if sized {
-            self.reader.sized("section size")?
+            self.sized("section size")?
         } else {
-            *self.reader
+            *self
         };
         body.check_count(count, min_entry_len, field, offset)?;
         let mut walked = body;
@@ -245,7 +235,7 @@ impl<'a> Walk<'_, 'a> {
         if sized {
             walked.finish(field)?;
         } else {
-            *self.reader = walked;
+            *self = walked;
         }
         Ok((count, body))
     }
@@ -276,10 +266,8 @@ pub struct RigidBody {
 }
 
 impl RigidBody {
-    /// Length on the wire from 3.0 on.
+    /// Length on the wire from 3.0 on, and the least in any version.
     const LEN: usize = 38;
-    /// The least a body takes in any version.
-    const MIN_LEN: usize = Self::LEN;
 
     /// A body with this pose, tracked, with a perfect fit.
     #[must_use]
@@ -353,17 +341,6 @@ pub struct RigidBodies<'a> {
     reader: Reader<'a>,
     left: usize,
     version: BitstreamVersion,
-}
-
-impl<'a> RigidBodies<'a> {
-    /// `reader` is at the first of `count` bodies, which have been checked.
-    pub(super) const fn new(reader: Reader<'a>, count: usize, version: BitstreamVersion) -> Self {
-        Self {
-            reader,
-            left: count,
-            version,
-        }
-    }
 }
 
 impl Iterator for RigidBodies<'_> {

@@ -111,11 +111,7 @@ impl<'a> ServerMessage<'a> {
                 reader.finish("the unrecognized message")?;
                 Self::Unrecognized
             }
-            _ => {
-                return Err(DecodeError::UnexpectedMessage {
-                    id: packet.raw_id(),
-                });
-            }
+            _ => return Err(packet.unexpected()),
         })
     }
 }
@@ -282,13 +278,7 @@ impl<'a> ClientMessage<'a> {
     /// # Errors
     /// What is wrong with the datagram, and where.
     pub fn decode(datagram: &'a [u8]) -> Result<Self, DecodeError> {
-        let (packet, surplus) = Packet::split(datagram)?;
-        if !matches!(surplus, [] | [0]) {
-            return Err(DecodeError::LengthMismatch {
-                declared: packet.payload().len(),
-                actual: packet.payload().len() + surplus.len(),
-            });
-        }
+        let packet = Packet::parse_before(datagram, &[0])?;
         let mut reader = packet.reader();
         Ok(match packet.message_id() {
             Some(MessageId::Connect) => Self::Connect(Connect::decode(&packet)?),
@@ -302,11 +292,7 @@ impl<'a> ClientMessage<'a> {
                 reader.finish("the echo request")?;
                 Self::EchoRequest { client_stamp }
             }
-            _ => {
-                return Err(DecodeError::UnexpectedMessage {
-                    id: packet.raw_id(),
-                });
-            }
+            _ => return Err(packet.unexpected()),
         })
     }
 }

@@ -83,41 +83,27 @@ impl<'a> Packet<'a> {
     /// The datagram is shorter than the header, or its length is not what the
     /// header declares.
     pub fn parse(datagram: &'a [u8]) -> Result<Self, DecodeError> {
-        let (packet, surplus) = Self::split(datagram)?;
-        if surplus.is_empty() {
-            Ok(packet)
-        } else {
-            Err(DecodeError::LengthMismatch {
-                declared: packet.payload.len(),
-                actual: packet.payload.len() + surplus.len(),
-            })
-        }
+        Self::parse_before(datagram, &[])
     }
 
-    /// Splits a datagram into the packet its header declares and a surplus.
-    pub(super) fn split(datagram: &'a [u8]) -> Result<(Self, &'a [u8]), DecodeError> {
+    /// Splits a datagram that may have these bytes beyond the declared length.
+    pub(super) fn parse_before(datagram: &'a [u8], surplus: &[u8]) -> Result<Self, DecodeError> {
         let mut reader = Reader::new(datagram, 0);
         let id = reader.u16("message id")?;
         let declared = usize::from(reader.u16("payload length")?);
-        let actual = reader.remaining();
-        if declared > actual {
-            return Err(DecodeError::LengthMismatch { declared, actual });
+        match reader.rest.split_at_checked(declared) {
+            Some((payload, rest)) if rest.is_empty() || rest == surplus => Ok(Self { id, payload }),
+            _ => Err(DecodeError::LengthMismatch {
+                declared,
+                actual: reader.remaining(),
+            }),
         }
-        let payload = reader.take(declared, "payload")?;
-        let surplus = reader.take(reader.remaining(), "surplus")?;
-        Ok((Self { id, payload }, surplus))
     }
 
     /// The message; `None` for an unknown id.
     #[must_use]
     pub const fn message_id(&self) -> Option<MessageId> {
         MessageId::from_wire(self.id)
-    }
-
-    /// The id on the wire.
-    #[must_use]
-    pub const fn raw_id(&self) -> u16 {
-        self.id
     }
 
     /// The bytes after the header.
@@ -128,6 +114,10 @@ impl<'a> Packet<'a> {
 
     pub(super) const fn reader(&self) -> Reader<'a> {
         Reader::new(self.payload, HEADER_LEN)
+    }
+
+    pub(super) const fn unexpected(&self) -> DecodeError {
+        DecodeError::UnexpectedMessage { id: self.id }
     }
 }
 

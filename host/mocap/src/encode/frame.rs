@@ -126,13 +126,13 @@ pub fn frame(
     out: &mut [u8],
 ) -> Result<usize, EncodeError> {
     let mut encoder = FrameEncoder {
-        writer: Writer::message(out, MessageId::Frame)?,
+        writer: Writer::message(out, MessageId::Frame),
         version,
         body_markers: content.body_markers,
     };
-    encoder.writer.i32(content.number, "frame number")?;
-    encoder.sections(content)?;
-    encoder.tail(content)?;
+    encoder.writer.i32(content.number, "frame number");
+    encoder.sections(content);
+    encoder.tail(content);
     encoder.writer.finish()
 }
 
@@ -143,7 +143,7 @@ struct FrameEncoder<'a, 'c> {
 }
 
 impl FrameEncoder<'_, '_> {
-    fn sections(&mut self, content: &FrameContent<'_>) -> Result<(), EncodeError> {
+    fn sections(&mut self, content: &FrameContent<'_>) {
         let Sections {
             marker_sets,
             other_markers,
@@ -155,86 +155,67 @@ impl FrameEncoder<'_, '_> {
         } = content.sections;
         let version = self.version;
         self.section(marker_sets, "marker sets", |encoder, set| {
-            encoder.writer.c_str(set.name, "marker set name")?;
-            encoder.writer.count(set.markers_m.len(), "marker count")?;
-            set.markers_m
-                .iter()
-                .try_for_each(|marker| encoder.writer.f32s(marker, "marker"))
-        })?;
-        self.section(other_markers, "other markers", |encoder, marker| {
-            encoder.writer.f32s(marker, "other marker")
-        })?;
-        self.section(content.rigid_bodies, "rigid bodies", Self::rigid_body)?;
-        self.section(skeletons, "skeletons", |encoder, skeleton| {
-            encoder.writer.i32(skeleton.id, "skeleton id")?;
-            encoder.rigid_bodies(skeleton.bones)
-        })?;
-        self.section_if(version.has_assets(), assets, "assets", |encoder, asset| {
-            encoder.writer.i32(asset.id, "asset id")?;
-            encoder.rigid_bodies(asset.rigid_bodies)?;
             encoder
                 .writer
-                .count(asset.markers.len(), "asset marker count")?;
-            asset
-                .markers
+                .c_bytes(set.name.as_bytes(), "marker set name");
+            encoder.writer.count(set.markers_m.len(), "marker count");
+            encoder.writer.f32s(set.markers_m.as_flattened(), "marker");
+        });
+        self.section(other_markers, "other markers", |encoder, marker| {
+            encoder.writer.f32s(marker, "other marker");
+        });
+        self.section(content.rigid_bodies, "rigid bodies", Self::rigid_body);
+        self.section(skeletons, "skeletons", |encoder, skeleton| {
+            encoder.writer.i32(skeleton.id, "skeleton id");
+            encoder.rigid_bodies(skeleton.bones);
+        });
+        self.section_if(version.has_assets(), assets, "assets", |encoder, asset| {
+            encoder.writer.i32(asset.id, "asset id");
+            encoder.rigid_bodies(asset.rigid_bodies);
+            let markers = asset.markers;
+            encoder.writer.count(markers.len(), "asset marker count");
+            markers
                 .iter()
-                .try_for_each(|marker| encoder.labelled_marker(marker))
-        })?;
-        self.section(labelled_markers, "labelled markers", Self::labelled_marker)?;
-        self.section_if(
-            version.has_force_plates(),
-            force_plates,
-            "force plates",
-            Self::analog_device,
-        )?;
-        self.section_if(
-            version.has_devices(),
-            devices,
-            "devices",
-            Self::analog_device,
-        )
+                .for_each(|marker| encoder.labelled_marker(marker));
+        });
+        self.section(labelled_markers, "labelled markers", Self::labelled_marker);
+        for (exists, devices, field) in [
+            (version.has_force_plates(), force_plates, "force plates"),
+            (version.has_devices(), devices, "devices"),
+        ] {
+            self.section_if(exists, devices, field, Self::analog_device);
+        }
     }
 
-    fn tail(&mut self, content: &FrameContent<'_>) -> Result<(), EncodeError> {
+    fn tail(&mut self, content: &FrameContent<'_>) {
         let writer = &mut self.writer;
         if self.version.has_latency() {
-            writer.f32(content.latency, "latency")?;
+            writer.f32(content.latency, "latency");
         }
         for word in content.timecode {
-            writer.u32(word, "timecode")?;
+            writer.u32(word, "timecode");
         }
-        writer.f64(content.timestamp_s, "timestamp")?;
+        writer.bytes(&content.timestamp_s.to_le_bytes(), "timestamp");
         if self.version.has_camera_ticks() {
-            writer.u64(content.ticks.mid_exposure, "mid-exposure ticks")?;
-            writer.u64(content.ticks.received, "received ticks")?;
-            writer.u64(content.ticks.transmit, "transmit ticks")?;
+            writer.u64(content.ticks.mid_exposure, "mid-exposure ticks");
+            writer.u64(content.ticks.received, "received ticks");
+            writer.u64(content.ticks.transmit, "transmit ticks");
         }
         if self.version.has_precision_time() {
-            writer.u32(content.precision_time.seconds, "precision seconds")?;
-            writer.u32(content.precision_time.fraction, "precision fraction")?;
+            writer.u32(content.precision_time.seconds, "precision seconds");
+            writer.u32(content.precision_time.fraction, "precision fraction");
         }
-        writer.u16(content.flags.0, "frame flags")?;
-        writer.i32(0, "end tag")
+        writer.u16(content.flags.0, "frame flags");
+        writer.i32(0, "end tag");
     }
 
-    fn section<T>(
-        &mut self,
-        entries: &[T],
-        field: &'static str,
-        mut write: impl FnMut(&mut Self, &T) -> Result<(), EncodeError>,
-    ) -> Result<(), EncodeError> {
-        self.writer.count(entries.len(), field)?;
-        let slot = if self.version.has_section_sizes() {
-            Some(self.writer.size_slot(field)?)
-        } else {
-            None
-        };
-        for entry in entries {
-            write(self, entry)?;
-        }
-        match slot {
-            Some(slot) => self.writer.fill(slot, field),
-            None => Ok(()),
+    fn section<T>(&mut self, entries: &[T], field: &'static str, write: impl Fn(&mut Self, &T)) {
+        self.writer.count(entries.len(), field);
+        let sized = self.version.has_section_sizes();
+        let slot = sized.then(|| self.writer.size_slot(field));
+        entries.iter().for_each(|entry| write(self, entry));
+        if let Some(slot) = slot {
+            self.writer.fill(slot, field);
         }
     }
 
@@ -244,88 +225,86 @@ impl FrameEncoder<'_, '_> {
         exists: bool,
         entries: &[T],
         field: &'static str,
-        write: impl FnMut(&mut Self, &T) -> Result<(), EncodeError>,
-    ) -> Result<(), EncodeError> {
+        write: impl Fn(&mut Self, &T),
+    ) {
         if exists {
-            self.section(entries, field, write)
-        } else if entries.is_empty() {
-            Ok(())
-        } else {
-            Err(EncodeError::NotInVersion {
-                field,
-                version: self.version,
-            })
+            self.section(entries, field, write);
+        } else if !entries.is_empty() {
+            let version = self.version;
+            self.writer
+                .fail(EncodeError::NotInVersion { field, version });
         }
     }
 
-    fn rigid_bodies(&mut self, bodies: &[RigidBody]) -> Result<(), EncodeError> {
-        self.writer.count(bodies.len(), "rigid body count")?;
-        bodies.iter().try_for_each(|body| self.rigid_body(body))
+    fn rigid_bodies(&mut self, bodies: &[RigidBody]) {
+        self.writer.count(bodies.len(), "rigid body count");
+        bodies.iter().for_each(|body| self.rigid_body(body));
     }
 
-    fn rigid_body(&mut self, body: &RigidBody) -> Result<(), EncodeError> {
+    fn rigid_body(&mut self, body: &RigidBody) {
         let writer = &mut self.writer;
-        writer.i32(body.id, "rigid body id")?;
-        writer.f32s(&body.position_m, "rigid body position")?;
-        writer.f32s(&body.orientation_xyzw, "rigid body orientation")?;
+        writer.i32(body.id, "rigid body id");
+        writer.f32s(&body.position_m, "rigid body position");
+        writer.f32s(&body.orientation_xyzw, "rigid body orientation");
         if self.version.has_markers_in_bodies() {
-            writer.count(self.body_markers.len(), "rigid body marker count")?;
+            writer.count(self.body_markers.len(), "rigid body marker count");
             for marker in self.body_markers {
-                writer.f32s(&marker.position_m, "rigid body marker position")?;
+                writer.f32s(&marker.position_m, "rigid body marker position");
             }
             for marker in self.body_markers {
-                writer.i32(marker.id, "rigid body marker id")?;
+                writer.i32(marker.id, "rigid body marker id");
             }
             for marker in self.body_markers {
-                writer.f32(marker.size_m, "rigid body marker size")?;
+                writer.f32(marker.size_m, "rigid body marker size");
             }
         }
-        writer.f32(body.mean_error_m, "rigid body mean error")?;
-        writer.u16(body.params, "rigid body parameters")
+        writer.f32(body.mean_error_m, "rigid body mean error");
+        writer.u16(body.params, "rigid body parameters");
     }
 
-    fn labelled_marker(&mut self, marker: &LabelledMarker) -> Result<(), EncodeError> {
+    fn labelled_marker(&mut self, marker: &LabelledMarker) {
         let writer = &mut self.writer;
-        writer.i32(marker.id, "labelled marker id")?;
-        writer.f32s(&marker.position_m, "labelled marker position")?;
-        writer.f32(marker.size_m, "labelled marker size")?;
-        writer.u16(marker.params, "labelled marker parameters")?;
+        writer.i32(marker.id, "labelled marker id");
+        writer.f32s(&marker.position_m, "labelled marker position");
+        writer.f32(marker.size_m, "labelled marker size");
+        writer.u16(marker.params, "labelled marker parameters");
         if self.version.has_marker_residual() {
-            writer.f32(marker.residual_m, "labelled marker residual")?;
+            writer.f32(marker.residual_m, "labelled marker residual");
         }
-        Ok(())
     }
 
-    fn analog_device(&mut self, device: &AnalogDevice<'_>) -> Result<(), EncodeError> {
-        self.writer.i32(device.id, "analog device id")?;
-        self.writer.count(device.channels.len(), "channel count")?;
+    fn analog_device(&mut self, device: &AnalogDevice<'_>) {
+        self.writer.i32(device.id, "analog device id");
+        self.writer.count(device.channels.len(), "channel count");
         for samples in device.channels {
-            self.writer.count(samples.len(), "sample count")?;
-            self.writer.f32s(samples, "samples")?;
+            self.writer.count(samples.len(), "sample count");
+            self.writer.f32s(samples, "samples");
         }
-        Ok(())
     }
 }
 
+/// Writes a message. [`finish`](Self::finish) returns the first error; nothing is written after it.
 pub(super) struct Writer<'a> {
     out: &'a mut [u8],
     len: usize,
+    error: Option<EncodeError>,
 }
-
-/// The place of a size that is filled in later.
-pub(super) struct SizeSlot(usize);
 
 impl<'a> Writer<'a> {
     /// Begins a message; its length is filled in by [`finish`](Self::finish).
-    pub(super) fn message(out: &'a mut [u8], id: MessageId) -> Result<Self, EncodeError> {
-        let mut writer = Self { out, len: 0 };
-        writer.u16(id as u16, "message id")?;
-        writer.u16(0, "payload length")?;
-        Ok(writer)
+    pub(super) fn message(out: &'a mut [u8], id: MessageId) -> Self {
+        let (len, error) = (0, None);
+        let mut writer = Self { out, len, error };
+        writer.u16(id as u16, "message id");
+        writer.u16(0, "payload length");
+        writer
     }
 
     /// Completes the header and returns the datagram's length.
     pub(super) fn finish(self) -> Result<usize, EncodeError> {
+        if let Some(error) = self.error {
+            return Err(error);
+        }
         let too_long = EncodeError::TooLong {
             len: self.len,
             max: MAX_DATAGRAM_LEN,
@@ -340,109 +319,94 @@ impl<'a> Writer<'a> {
         Ok(self.len)
     }
 
-    pub(super) fn bytes(&mut self, bytes: &[u8], field: &'static str) -> Result<(), EncodeError> {
+    pub(super) fn fail(&mut self, error: EncodeError) {
+        self.error.get_or_insert(error);
+    }
+
+    pub(super) fn bytes(&mut self, bytes: &[u8], field: &'static str) {
         let capacity = self.out.len();
         let end = self.len.saturating_add(bytes.len());
-        let Some(slot) = self.out.get_mut(self.len..end) else {
-            return Err(EncodeError::BufferTooSmall { field, capacity });
-        };
-        slot.copy_from_slice(bytes);
-        self.len = end;
-        Ok(())
-    }
-
-    pub(super) fn u8(&mut self, value: u8, field: &'static str) -> Result<(), EncodeError> {
-        self.bytes(&[value], field)
-    }
-
-    pub(super) fn u16(&mut self, value: u16, field: &'static str) -> Result<(), EncodeError> {
-        self.bytes(&value.to_le_bytes(), field)
-    }
-
-    pub(super) fn u32(&mut self, value: u32, field: &'static str) -> Result<(), EncodeError> {
-        self.bytes(&value.to_le_bytes(), field)
-    }
-
-    pub(super) fn i32(&mut self, value: i32, field: &'static str) -> Result<(), EncodeError> {
-        self.bytes(&value.to_le_bytes(), field)
-    }
-
-    pub(super) fn u64(&mut self, value: u64, field: &'static str) -> Result<(), EncodeError> {
-        self.bytes(&value.to_le_bytes(), field)
-    }
-
-    pub(super) fn f32(&mut self, value: f32, field: &'static str) -> Result<(), EncodeError> {
-        self.bytes(&value.to_le_bytes(), field)
-    }
-
-    pub(super) fn f64(&mut self, value: f64, field: &'static str) -> Result<(), EncodeError> {
-        self.bytes(&value.to_le_bytes(), field)
-    }
-
-    pub(super) fn f32s(&mut self, values: &[f32], field: &'static str) -> Result<(), EncodeError> {
-        values.iter().try_for_each(|value| self.f32(*value, field))
-    }
-
-    pub(super) fn count(&mut self, count: usize, field: &'static str) -> Result<(), EncodeError> {
-        let value = i32::try_from(count).map_err(|_| EncodeError::CountOutOfRange {
-            field,
-            value: count,
-        })?;
-        self.i32(value, field)
-    }
-
-    pub(super) fn c_str(&mut self, text: &str, field: &'static str) -> Result<(), EncodeError> {
-        self.c_bytes(text.as_bytes(), field)
-    }
-
-    pub(super) fn c_bytes(&mut self, text: &[u8], field: &'static str) -> Result<(), EncodeError> {
-        if text.contains(&0) {
-            return Err(EncodeError::InteriorNul { field });
+        match self.out.get_mut(self.len..end) {
+            Some(slot) if self.error.is_none() => {
+                slot.copy_from_slice(bytes);
+                self.len = end;
+            }
+            _ => self.fail(EncodeError::BufferTooSmall { field, capacity }),
         }
-        self.bytes(text, field)?;
-        self.u8(0, field)
+    }
+
+    pub(super) fn u8(&mut self, value: u8, field: &'static str) {
+        self.bytes(&[value], field);
+    }
+
+    pub(super) fn u16(&mut self, value: u16, field: &'static str) {
+        self.bytes(&value.to_le_bytes(), field);
+    }
+
+    pub(super) fn u32(&mut self, value: u32, field: &'static str) {
+        self.bytes(&value.to_le_bytes(), field);
+    }
+
+    pub(super) fn i32(&mut self, value: i32, field: &'static str) {
+        self.bytes(&value.to_le_bytes(), field);
+    }
+
+    pub(super) fn u64(&mut self, value: u64, field: &'static str) {
+        self.bytes(&value.to_le_bytes(), field);
+    }
+
+    pub(super) fn f32(&mut self, value: f32, field: &'static str) {
+        self.bytes(&value.to_le_bytes(), field);
+    }
+
+    pub(super) fn f32s(&mut self, values: &[f32], field: &'static str) {
+        values.iter().for_each(|value| self.f32(*value, field));
+    }
+
+    pub(super) fn count(&mut self, value: usize, field: &'static str) {
+        match i32::try_from(value) {
+            Ok(count) => self.i32(count, field),
+            Err(_) => self.fail(EncodeError::CountOutOfRange { field, value }),
+        }
+    }
+
+    /// A text, and the NUL that ends it.
+    pub(super) fn c_bytes(&mut self, text: &[u8], field: &'static str) {
+        if text.contains(&0) {
+            self.fail(EncodeError::InteriorNul { field });
+        }
+        self.bytes(text, field);
+        self.u8(0, field);
     }
 
     /// A name in a field of `N` bytes, padded with zeros, NUL included.
-    pub(super) fn padded_name<const N: usize>(
-        &mut self,
-        name: &str,
-        field: &'static str,
-    ) -> Result<(), EncodeError> {
-        if name.bytes().any(|byte| byte == 0) {
-            return Err(EncodeError::InteriorNul { field });
+    pub(super) fn padded_name<const N: usize>(&mut self, name: &str, field: &'static str) {
+        let (len, max) = (name.len(), N.saturating_sub(1));
+        if name.contains('\0') {
+            self.fail(EncodeError::InteriorNul { field });
         }
         let mut padded = [0; N];
-        match padded.get_mut(..name.len()) {
-            Some(slot) if name.len() < N => slot.copy_from_slice(name.as_bytes()),
-            _ => {
-                return Err(EncodeError::NameTooLong {
-                    field,
-                    len: name.len(),
-                    max: N.saturating_sub(1),
-                });
-            }
+        match padded.get_mut(..len) {
+            Some(slot) if len <= max => slot.copy_from_slice(name.as_bytes()),
+            _ => self.fail(EncodeError::NameTooLong { field, len, max }),
         }
-        self.bytes(&padded, field)
+        self.bytes(&padded, field);
     }
 
-    /// Leaves room for the size of the part that follows.
-    pub(super) fn size_slot(&mut self, field: &'static str) -> Result<SizeSlot, EncodeError> {
-        let slot = SizeSlot(self.len);
-        self.i32(0, field)?;
-        Ok(slot)
+    /// Leaves room for the size of the part that follows, and returns the part's place.
+    pub(super) fn size_slot(&mut self, field: &'static str) -> usize {
+        self.i32(0, field);
+        self.len
     }
 
-    /// Fills in the size of the part written since [`size_slot`](Self::size_slot).
-    #[expect(clippy::needless_pass_by_value, reason = "a slot is filled in once")]
-    pub(super) fn fill(&mut self, slot: SizeSlot, field: &'static str) -> Result<(), EncodeError> {
-        let start = slot.0.saturating_add(4);
+    /// Fills in the size of the part that begins at `start`, by [`size_slot`](Self::size_slot).
+    pub(super) fn fill(&mut self, start: usize, field: &'static str) {
         let value = self.len.saturating_sub(start);
-        let size =
-            i32::try_from(value).map_err(|_| EncodeError::CountOutOfRange { field, value })?;
-        if let Some(bytes) = self.out.get_mut(slot.0..start) {
-            bytes.copy_from_slice(&size.to_le_bytes());
+        let before = self.out.get_mut(..start);
+        let slot = before.and_then(|before| before.last_chunk_mut());
+        match (i32::try_from(value), slot) {
+            (Ok(size), Some(slot)) if self.error.is_none() => *slot = size.to_le_bytes(),
+            _ => self.fail(EncodeError::CountOutOfRange { field, value }),
         }
-        Ok(())
     }
 }

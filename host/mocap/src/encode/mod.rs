@@ -88,19 +88,19 @@ pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Result<usi
         ClientMessage::EchoRequest { .. } => MessageId::EchoRequest,
         ClientMessage::Discovery => MessageId::Discovery,
     };
-    let mut writer = Writer::message(out, id)?;
+    let mut writer = Writer::message(out, id);
     match message {
         ClientMessage::Connect(connect) => {
-            writer.padded_name::<SENDER_NAME_LEN>(connect.name, "client name")?;
-            writer.bytes(&[0; 4], "client application version")?;
-            writer.bytes(&BitstreamVersion::V4_1.to_wire(), "client NatNet version")?;
-            writer.u8(0, "subscribed data only")?;
+            writer.padded_name::<SENDER_NAME_LEN>(connect.name, "client name");
+            writer.bytes(&[0; 4], "client application version");
+            writer.bytes(&BitstreamVersion::V4_1.to_wire(), "client NatNet version");
+            writer.u8(0, "subscribed data only");
             let requested = connect.requested_bitstream.unwrap_or_default();
-            writer.bytes(&requested, "requested bitstream")?;
+            writer.bytes(&requested, "requested bitstream");
         }
-        ClientMessage::Request(text) => writer.c_str(text, "request")?,
+        ClientMessage::Request(text) => writer.c_bytes(text.as_bytes(), "request"),
         ClientMessage::EchoRequest { client_stamp } => {
-            writer.u64(*client_stamp, "echo client stamp")?;
+            writer.u64(*client_stamp, "echo client stamp");
         }
         ClientMessage::RequestModelDefinitions
         | ClientMessage::KeepAlive
@@ -116,16 +116,16 @@ pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Result<usi
 /// # Errors
 /// The buffer is too small, or the name contains a NUL or is too long.
 pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::ServerInfo)?;
-    writer.padded_name::<SENDER_NAME_LEN>(info.application, "server name")?;
-    writer.bytes(&info.application_version, "server application version")?;
-    writer.bytes(&info.natnet_version, "server NatNet version")?;
+    let mut writer = Writer::message(out, MessageId::ServerInfo);
+    writer.padded_name::<SENDER_NAME_LEN>(info.application, "server name");
+    writer.bytes(&info.application_version, "server application version");
+    writer.bytes(&info.natnet_version, "server NatNet version");
     if let Some(connection) = &info.connection {
         let ticks_per_second = connection.ticks_per_second.map_or(0, u64::from);
-        writer.u64(ticks_per_second, "clock frequency")?;
-        writer.u16(connection.data_channel.port, "data port")?;
-        writer.u8(connection.data_channel.multicast.into(), "multicast flag")?;
-        writer.bytes(&connection.data_channel.group.octets(), "multicast group")?;
+        writer.u64(ticks_per_second, "clock frequency");
+        writer.u16(connection.data_channel.port, "data port");
+        writer.u8(connection.data_channel.multicast.into(), "multicast flag");
+        writer.bytes(&connection.data_channel.group.octets(), "multicast group");
     }
     writer.finish()
 }
@@ -135,9 +135,9 @@ pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Result<usize, Encod
 /// # Errors
 /// The buffer is too small.
 pub fn echo_response(echo: Echo, out: &mut [u8]) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::EchoResponse)?;
-    writer.u64(echo.client_stamp, "echo client stamp")?;
-    writer.u64(echo.server_ticks, "echo server ticks")?;
+    let mut writer = Writer::message(out, MessageId::EchoResponse);
+    writer.u64(echo.client_stamp, "echo client stamp");
+    writer.u64(echo.server_ticks, "echo server ticks");
     writer.finish()
 }
 
@@ -146,8 +146,8 @@ pub fn echo_response(echo: Echo, out: &mut [u8]) -> Result<usize, EncodeError> {
 /// # Errors
 /// The buffer is too small.
 pub fn response_status(status: i32, out: &mut [u8]) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::Response)?;
-    writer.i32(status, "response status")?;
+    let mut writer = Writer::message(out, MessageId::Response);
+    writer.i32(status, "response status");
     writer.finish()
 }
 
@@ -160,8 +160,8 @@ pub fn response_text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
     if text.len() == 3 {
         return Err(EncodeError::AmbiguousResponse);
     }
-    let mut writer = Writer::message(out, MessageId::Response)?;
-    writer.c_str(text, "response")?;
+    let mut writer = Writer::message(out, MessageId::Response);
+    writer.c_bytes(text.as_bytes(), "response");
     writer.finish()
 }
 
@@ -170,8 +170,8 @@ pub fn response_text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
 /// # Errors
 /// The buffer is too small, or the text contains a NUL.
 pub fn text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::MessageString)?;
-    writer.c_str(text, "text")?;
+    let mut writer = Writer::message(out, MessageId::MessageString);
+    writer.c_bytes(text.as_bytes(), "text");
     writer.finish()
 }
 
@@ -180,7 +180,7 @@ pub fn text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
 /// # Errors
 /// The buffer is too small.
 pub fn disconnect(out: &mut [u8]) -> Result<usize, EncodeError> {
-    Writer::message(out, MessageId::Disconnect)?.finish()
+    Writer::message(out, MessageId::Disconnect).finish()
 }
 
 /// Encodes the answer to a request that the server does not understand.
@@ -188,7 +188,7 @@ pub fn disconnect(out: &mut [u8]) -> Result<usize, EncodeError> {
 /// # Errors
 /// The buffer is too small.
 pub fn unrecognized(out: &mut [u8]) -> Result<usize, EncodeError> {
-    Writer::message(out, MessageId::Unrecognized)?.finish()
+    Writer::message(out, MessageId::Unrecognized).finish()
 }
 
 /// One entry of the model definitions.
@@ -246,16 +246,15 @@ pub fn model_definitions(
     datasets: &[Dataset<'_>],
     out: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::ModelDefinitions)?;
-    writer.count(datasets.len(), "dataset count")?;
+    let mut writer = Writer::message(out, MessageId::ModelDefinitions);
+    writer.count(datasets.len(), "dataset count");
     for dataset in datasets {
-        writer.i32(dataset.type_id(), "dataset type")?;
-        if version.has_section_sizes() {
-            let slot = writer.size_slot("dataset size")?;
-            dataset.write(&mut writer, version)?;
-            writer.fill(slot, "dataset size")?;
-        } else {
-            dataset.write(&mut writer, version)?;
+        writer.i32(dataset.type_id(), "dataset type");
+        let sized = version.has_section_sizes();
+        let slot = sized.then(|| writer.size_slot("dataset size"));
+        dataset.write(&mut writer, version);
+        if let Some(slot) = slot {
+            writer.fill(slot, "dataset size");
         }
     }
     writer.finish()
@@ -280,26 +279,26 @@ impl<'a> Dataset<'a> {
         }
     }
 
-    fn write(&self, writer: &mut Writer<'_>, version: BitstreamVersion) -> Result<(), EncodeError> {
+    fn write(&self, writer: &mut Writer<'_>, version: BitstreamVersion) {
         match self {
             Self::RigidBody {
                 definition,
                 markers,
             } => write_rigid_body(writer, version, definition, markers),
             Self::MarkerSet { name, marker_names } => {
-                writer.c_str(name, "marker set name")?;
-                writer.count(marker_names.len(), "marker name count")?;
-                marker_names
-                    .iter()
-                    .try_for_each(|name| writer.c_str(name, "marker name"))
+                writer.c_bytes(name.as_bytes(), "marker set name");
+                writer.count(marker_names.len(), "marker name count");
+                for name in *marker_names {
+                    writer.c_bytes(name.as_bytes(), "marker name");
+                }
             }
             Self::Skeleton { name, id, bones } => {
-                writer.c_str(name, "skeleton name")?;
-                writer.i32(*id, "skeleton id")?;
-                writer.count(bones.len(), "bone count")?;
-                bones
-                    .iter()
-                    .try_for_each(|bone| write_rigid_body(writer, version, bone, &[]))
+                writer.c_bytes(name.as_bytes(), "skeleton name");
+                writer.i32(*id, "skeleton id");
+                writer.count(bones.len(), "bone count");
+                for bone in *bones {
+                    write_rigid_body(writer, version, bone, &[]);
+                }
             }
             Self::Other { body, .. } => writer.bytes(body, "dataset"),
         }
@@ -311,27 +310,26 @@ fn write_rigid_body(
     version: BitstreamVersion,
     definition: &RigidBodyDefinition<'_>,
     markers: &[DefinitionMarker<'_>],
-) -> Result<(), EncodeError> {
-    writer.c_bytes(definition.name, "rigid body name")?;
-    writer.i32(definition.id, "rigid body id")?;
-    writer.i32(definition.parent_id, "rigid body parent")?;
-    writer.f32s(&definition.offset_m, "rigid body offset")?;
+) {
+    writer.c_bytes(definition.name, "rigid body name");
+    writer.i32(definition.id, "rigid body id");
+    writer.i32(definition.parent_id, "rigid body parent");
+    writer.f32s(&definition.offset_m, "rigid body offset");
     if version.has_definition_rotation() {
-        writer.f32s(&[0.0, 0.0, 0.0, 1.0], "rigid body rotation")?;
+        writer.f32s(&[0.0, 0.0, 0.0, 1.0], "rigid body rotation");
     }
     if version.has_definition_markers() {
-        writer.count(markers.len(), "definition marker count")?;
+        writer.count(markers.len(), "definition marker count");
         for marker in markers {
-            writer.f32s(&marker.position_m, "definition marker position")?;
+            writer.f32s(&marker.position_m, "definition marker position");
         }
         for marker in markers {
-            writer.i32(marker.label, "definition marker label")?;
+            writer.i32(marker.label, "definition marker label");
         }
         if version.has_definition_marker_names() {
             for marker in markers {
-                writer.c_str(marker.name, "definition marker name")?;
+                writer.c_bytes(marker.name.as_bytes(), "definition marker name");
             }
         }
     }
-    Ok(())
 }

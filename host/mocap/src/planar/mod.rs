@@ -18,16 +18,16 @@ mod tracker;
 
 use core::net::IpAddr;
 
-use crate::words;
-
 use crate::{
     body::{BodyPose, CaptureTime, CaptureTimeSource, UpAxis},
     config::{SessionConfig, SessionConfigError, Transport, not_zero, positive},
     names::Binding,
     session::SessionCounters,
+    words,
 };
 
 pub use session::{PlanarEvent, PlanarSession};
+use tracker::tilt;
 pub use tracker::{Level, NEAR_M, Neighbour, OtherBody, PlanarTracker, PoseGate};
 
 /// A rigid body's name as in the server's asset list.
@@ -262,14 +262,12 @@ impl PlanarPose {
     ) -> Self {
         let [x_m, y_m, z_m] = pose.position_m;
         let [x, y, z, w] = pose.orientation_xyzw;
-        // The sine of the half angle, which unlike the cosine is exact near zero.
-        let tilt_rad = 2.0 * libm::asin(libm::sqrt(x * x + y * y).min(1.0));
         Self {
             x_m,
             y_m,
             z_m,
             yaw_rad: libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-            tilt_rad,
+            tilt_rad: tilt([x, y]),
             roll_rad: libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
             pitch_rad: libm::asin((2.0 * (w * y - x * z)).clamp(-1.0, 1.0)),
             capture_time_ns: capture.time_ns,
@@ -305,47 +303,22 @@ pub struct PlanarCounters {
 
 /// Rejected poses by reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct RejectedCounts {
-    /// See [`RejectReason::NotFinite`].
-    pub not_finite: u64,
-    /// See [`RejectReason::NotUnitQuaternion`].
-    pub not_unit_quaternion: u64,
-    /// See [`RejectReason::DuplicateId`].
-    pub duplicate_id: u64,
-    /// See [`RejectReason::MeanError`].
-    pub mean_error: u64,
-    /// See [`RejectReason::CaptureTime`].
-    pub capture_time: u64,
-    /// See [`RejectReason::Jump`].
-    pub jump: u64,
-    /// See [`RejectReason::Flip`].
-    pub flip: u64,
-}
+pub struct RejectedCounts([u64; RejectReason::ALL.len()]);
 
 impl RejectedCounts {
     pub(super) const fn count(&mut self, reason: RejectReason) {
-        let counter = match reason {
-            RejectReason::NotFinite => &mut self.not_finite,
-            RejectReason::NotUnitQuaternion => &mut self.not_unit_quaternion,
-            RejectReason::DuplicateId => &mut self.duplicate_id,
-            RejectReason::MeanError => &mut self.mean_error,
-            RejectReason::CaptureTime => &mut self.capture_time,
-            RejectReason::Jump => &mut self.jump,
-            RejectReason::Flip => &mut self.flip,
-        };
-        *counter += 1;
+        self.0[reason as usize] += 1;
+    }
+
+    /// Poses that were rejected for this reason.
+    #[must_use]
+    pub const fn of(&self, reason: RejectReason) -> u64 {
+        self.0[reason as usize]
     }
 
     /// The sum of all reasons.
     #[must_use]
-    pub const fn total(&self) -> u64 {
-        self.not_finite
-            + self.not_unit_quaternion
-            + self.duplicate_id
-            + self.mean_error
-            + self.capture_time
-            + self.jump
-            + self.flip
+    pub fn total(&self) -> u64 {
+        self.0.iter().sum()
     }
 }

@@ -9,7 +9,7 @@ use super::{
 use crate::{
     codec::DecodeError,
     names::{Binding, BodyNames},
-    pose_source::{Input, Output, PoseSource as _, Stream},
+    pose_source::{Input, Output, Stream},
     session::{Phase, SessionEvent, Transmit},
     source::Source,
 };
@@ -146,7 +146,7 @@ impl PlanarSession {
     pub fn pose_state(&self, now_ns: u64) -> PoseState {
         match self.source.stale_for_ns(now_ns) {
             Some(silent_ns) => PoseState::Stale { silent_ns },
-            None => self.tracker.state(),
+            None => self.tracker.state,
         }
     }
 
@@ -159,25 +159,25 @@ impl PlanarSession {
     /// Which streaming id the body's name has.
     #[must_use]
     pub const fn binding(&self) -> Binding {
-        self.tracker.binding()
+        self.tracker.binding
     }
 
     /// The names of the server's bodies: see [`PlanarTracker::names`].
     #[must_use]
     pub const fn names(&self) -> &BodyNames {
-        self.tracker.names()
+        &self.tracker.names
     }
 
     /// How the body lies with either up axis: see [`PlanarTracker::level`].
     #[must_use]
     pub const fn level(&self) -> Option<Level> {
-        self.tracker.level()
+        self.tracker.level
     }
 
     /// The body near the place of the one that is followed: see [`PlanarTracker::neighbour`].
     #[must_use]
     pub const fn neighbour(&self) -> Option<Neighbour> {
-        self.tracker.neighbour()
+        self.tracker.neighbour
     }
 
     /// Error of a definition that could not be read: [`PoseSource::unreadable`](crate::PoseSource::unreadable).
@@ -203,7 +203,7 @@ impl PlanarSession {
     /// What was counted so far.
     #[must_use]
     pub fn counters(&self) -> PlanarCounters {
-        let mut counters = self.tracker.counters();
+        let mut counters = self.tracker.counters;
         counters.session = self.source.counters();
         counters
     }
@@ -224,7 +224,7 @@ fn pass_on(
 ) -> bool {
     let binding = match output {
         Output::Frame(frame) => {
-            if let Some(id) = tracker.binding().id().filter(|_| tells_others) {
+            if let Some(id) = tracker.binding.id().filter(|_| tells_others) {
                 OtherBody::of(id, frame).for_each(|other| on_event(PlanarEvent::Other(other)));
             }
             on_event(PlanarEvent::Observed(tracker.observe(frame)));
@@ -240,5 +240,5 @@ fn pass_on(
     if let Some(binding) = binding {
         on_event(PlanarEvent::Binding(binding));
     }
-    matches!(output, Output::Names(_)) && tracker.binding().id().is_none()
+    matches!(output, Output::Names(_)) && tracker.binding.id().is_none()
 }

@@ -29,14 +29,20 @@ use crate::{
 pub struct PlanarTracker {
     rigid_body: RigidBodyName,
     limits: PoseLimits,
-    binding: Binding,
-    /// The names of the definitions read last.
-    names: BodyNames,
+    /// Which streaming id the body's name has.
+    pub binding: Binding,
+    /// The names of the server's rigid bodies, as read last.
+    pub names: BodyNames,
     gate: PoseGate,
-    level: Option<Level>,
-    neighbour: Option<Neighbour>,
-    state: PoseState,
-    counters: PlanarCounters,
+    /// How the body lies by its last pose, accepted or not, with either up axis.
+    pub level: Option<Level>,
+    /// Another body near the followed one in the newest frame.
+    pub neighbour: Option<Neighbour>,
+    /// The state of the body in the newest frame.
+    pub state: PoseState,
+    /// What was counted so far. The session's counts are zero: the tracker does not
+    /// know them.
+    pub counters: PlanarCounters,
 }
 
 impl PlanarTracker {
@@ -155,55 +161,6 @@ impl PlanarTracker {
             return Err(RejectReason::Flip);
         }
         Ok(pose)
-    }
-
-    /// The names of the server's rigid bodies, as read last.
-    #[must_use]
-    pub const fn names(&self) -> &BodyNames {
-        &self.names
-    }
-
-    /// How the body lies by its last pose, accepted or not, with either up axis.
-    #[must_use]
-    pub const fn level(&self) -> Option<Level> {
-        self.level
-    }
-
-    /// Another body near the followed one in the newest frame.
-    #[must_use]
-    pub const fn neighbour(&self) -> Option<Neighbour> {
-        self.neighbour
-    }
-
-    /// The state of the body in the newest frame.
-    #[must_use]
-    pub const fn state(&self) -> PoseState {
-        self.state
-    }
-
-    /// Which streaming id the body's name has.
-    #[must_use]
-    pub const fn binding(&self) -> Binding {
-        self.binding
-    }
-
-    /// What was counted so far. The session's counts are zero: the tracker does not
-    /// know them.
-    #[must_use]
-    pub const fn counters(&self) -> PlanarCounters {
-        self.counters
-    }
-
-    /// The body's name.
-    #[must_use]
-    pub fn rigid_body(&self) -> &str {
-        &self.rigid_body
-    }
-
-    /// Which poses are plausible.
-    #[must_use]
-    pub const fn limits(&self) -> &PoseLimits {
-        &self.limits
     }
 }
 
@@ -379,7 +336,7 @@ impl Level {
 }
 
 /// The angle between two up axes, from the horizontal part of the rotation's vector.
-fn tilt([x, y]: [f64; 2]) -> f64 {
+pub(super) fn tilt([x, y]: [f64; 2]) -> f64 {
     2.0 * libm::asin(libm::sqrt(x * x + y * y).min(1.0))
 }
 

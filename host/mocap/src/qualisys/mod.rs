@@ -18,7 +18,7 @@ use crate::{
     names::Names,
     pose_source::Output,
     session::SessionEvent,
-    stream::{Broken, Dialogue, LastFrame, Link, Over, Progress, StreamSession},
+    stream::{Broken, Dialogue, Incoming, LastFrame, Link, Over, StreamSession},
 };
 
 pub use crate::names::BodyList;
@@ -88,40 +88,37 @@ impl QualisysDialogue {
 
     fn take(
         &mut self,
-        now_ns: u64,
         order: ByteOrder,
         packet: &Packet<'_>,
-        over: Over,
-        link: &mut Link,
-        on_output: &mut dyn FnMut(Output<'_>),
+        with: &mut Incoming<'_>,
     ) -> Result<(), Broken> {
         let text = || packet.text().unwrap_or_default();
         match (self.stage, packet.kind) {
             // All else comes on the stream, which nobody else can write to.
-            (_, kind) if over == Over::Datagram && kind != Kind::Data => {
-                link.counters.unsolicited += 1;
+            (_, kind) if with.over == Over::Datagram && kind != Kind::Data => {
+                with.link.counters.unsolicited += 1;
             }
             (Stage::Greeting, Kind::Command) if text().starts_with("QTM RT Interface") => {
                 self.stage = Stage::Version;
-                self.say(VERSION, link);
+                self.say(VERSION, with.link);
             }
             (Stage::Greeting, _) => return Err(Broken::Foreign),
             (Stage::Version, Kind::Command) if text().starts_with("Version set") => {
                 self.stage = Stage::Open;
-                (self.names_due_ns, self.stream_due_ns) = (now_ns, now_ns);
-                link.established(on_output);
+                (self.names_due_ns, self.stream_due_ns) = (with.now_ns, with.now_ns);
+                with.established();
             }
             (Stage::Version, Kind::Command | Kind::Error) => return Err(Broken::Foreign),
             (Stage::Open, Kind::Xml) => {
                 self.names_asked = false;
-                self.listed(BodyList::new(packet.text_bytes()), on_output);
+                self.listed(BodyList::new(packet.text_bytes()), with);
             }
             // Without a body QTM has no such settings.
             (Stage::Open, Kind::Error) if self.names_asked => {
                 self.names_asked = false;
-                self.listed(BodyList::new(b""), on_output);
+                self.listed(BodyList::new(b""), with);
             }
-            (Stage::Open, Kind::Data) => self.frame(now_ns, order, packet, over, link, on_output),
+            (Stage::Open, Kind::Data) => self.frame(order, packet, with),
             // Settings may have changed.
             (Stage::Open, Kind::Event) => self.names_incomplete(),
             _ => {}
@@ -129,39 +126,34 @@ impl QualisysDialogue {
         Ok(())
     }
 
-    fn listed(&mut self, names: BodyList<'_>, on_output: &mut dyn FnMut(Output<'_>)) {
+    fn listed(&mut self, names: BodyList<'_>, with: &mut Incoming<'_>) {
         let count = names.clone().count();
         // A list of other bodies than the frames' is none: it is asked for again.
         let agrees = |framed: usize| framed == count.min(BODIES);
         if self.framed.is_none_or(agrees) {
             self.listed = Some(count);
-            on_output(Output::Names(Names::Listed(names)));
+            (with.on_output)(Output::Names(Names::Listed(names)));
         } else {
             self.names_incomplete();
         }
     }
 
-    fn frame(
-        &mut self,
-        now_ns: u64,
-        order: ByteOrder,
-        packet: &Packet<'_>,
-        over: Over,
-        link: &mut Link,
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) {
+    fn frame(&mut self, order: ByteOrder, packet: &Packet<'_>, with: &mut Incoming<'_>) {
         let Some(frame) = packet.frame(order) else {
-            link.counters.malformed += 1;
+            with.link.counters.malformed += 1;
             return;
         };
-        self.stream_due_ns = now_ns.saturating_add(STREAM_AGAIN_NS);
+        self.stream_due_ns = with.now_ns.saturating_add(STREAM_AGAIN_NS);
         let number = frame.number.cast_signed();
-        if !link.is_newest(&mut self.last, frame.stamp_us, Some(number)) {
+        let is_newest = with
+            .link
+            .is_newest(&mut self.last, frame.stamp_us, Some(number));
+        if !is_newest {
             return;
         }
         let mut bodies = heapless::Vec::<Body, BODIES>::new();
         for (id, body) in (0..).zip(frame.bodies()).take(BODIES) {
-            let state = state(&body, link);
+            let state = state(&body, with.link);
             // At most as many as there is room for.
             let _ = bodies.push(Body { id, state });
         }
@@ -173,9 +165,9 @@ impl QualisysDialogue {
         {
             self.listed = None;
             self.names_incomplete();
-            on_output(Output::Event(SessionEvent::DefinitionsOutdated));
+            (with.on_output)(Output::Event(SessionEvent::DefinitionsOutdated));
         }
-        link.frame(now_ns, over, (number, frame.stamp_us), &bodies, on_output);
+        with.frame(number, frame.stamp_us, &bodies);
     }
 }
 
@@ -229,25 +221,18 @@ impl Dialogue for QualisysDialogue {
         };
     }
 
-    fn read(
-        &mut self,
-        now_ns: u64,
-        bytes: &[u8],
-        over: Over,
-        link: &mut Link,
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) -> Result<Progress, Broken> {
+    fn read(&mut self, bytes: &[u8], with: &mut Incoming<'_>) -> Result<Option<usize>, Broken> {
         let Some(size) = bytes.first_chunk() else {
-            return Ok(Progress::Incomplete);
+            return Ok(None);
         };
         let order = *self.order.get_or_insert(ByteOrder::of(*size));
         match Packet::read(order, bytes) {
             Err(_) if self.stage == Stage::Greeting => Err(Broken::Foreign),
             Err(_) => Err(Broken::NoMessage),
-            Ok(None) => Ok(Progress::Incomplete),
+            Ok(None) => Ok(None),
             Ok(Some((packet, length))) => {
-                self.take(now_ns, order, &packet, over, link, on_output)?;
-                Ok(Progress::Used(length))
+                self.take(order, &packet, with)?;
+                Ok(Some(length))
             }
         }
     }

@@ -17,6 +17,7 @@ use crate::{
     },
     config::{SessionConfig, SessionConfigError, Transport},
     consistency::{Consistency, Sequence},
+    pose_source::{Input, Output, PoseSource},
 };
 
 pub(crate) use transmit::MAX_LEN;
@@ -31,7 +32,9 @@ pub use transmit::Transmit;
 ///
 /// ```
 /// use singletrack_mocap::codec::ServerMessage;
-/// use singletrack_mocap::{DatagramOutcome, Session, SessionConfig, Transport, UpAxis};
+/// use singletrack_mocap::{
+///     DatagramOutcome, PoseSource, Session, SessionConfig, Transport, UpAxis,
+/// };
 ///
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// let server = "192.168.1.10".parse()?;
@@ -119,83 +122,10 @@ impl Session {
         })
     }
 
-    // Requests.
-
-    /// A body that the owner needs is missing from the definitions, or its name is
-    /// ambiguous: the session requests them again within half a second, instead of
-    /// after [`Timing::model_poll_ns`](crate::Timing).
-    ///
-    /// Call it directly after the
-    /// [`Definitions`](super::DatagramOutcome::Definitions) that lack the body.
-    pub const fn request_definitions_again(&mut self) {
-        self.schedule.models_incomplete();
-    }
-
-    /// Replaces [`Timing::stamp_offset_ns`](crate::Timing), from the next frame on.
-    pub const fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
-        self.config.timing.stamp_offset_ns = offset_ns;
-    }
-
-    /// Leaves the server: [`poll_transmit`](Self::poll_transmit) returns the
-    /// disconnect message and then nothing more.
-    pub const fn close(&mut self) {
-        self.phase = Phase::Closing;
-    }
-
-    // Getters.
-
-    /// How far the session is.
-    #[must_use]
-    pub const fn phase(&self) -> Phase {
-        self.phase
-    }
-
     /// Whether the streaming ids have the names of the definitions read last.
     #[must_use]
     pub const fn definitions_current(&self) -> bool {
         self.definitions_current
-    }
-
-    /// Why the definitions that arrived last, or one of them, can't be decoded.
-    #[must_use]
-    pub const fn unreadable_definitions(&self) -> Option<DecodeError> {
-        self.unreadable
-    }
-
-    /// For how long the stream has been silent at `now_ns`, if that is longer than
-    /// [`Timing::stale_after_ns`](crate::Timing). `None` while the stream is alive
-    /// and before the first frame.
-    #[must_use]
-    pub fn stale_for_ns(&self, now_ns: u64) -> Option<u64> {
-        self.last_frame_ns
-            .map(|last_ns| now_ns.saturating_sub(last_ns))
-            .filter(|silent_ns| *silent_ns > self.config.timing.stale_after_ns)
-    }
-
-    /// The address of the last datagram that was dropped because it did not come from the
-    /// server's.
-    #[must_use]
-    pub const fn other_source(&self) -> Option<IpAddr> {
-        self.other_source
-    }
-
-    /// Whether the frames are distrusted at `now_ns`, because two senders use the server's
-    /// address.
-    #[must_use]
-    pub fn is_contradicted(&self, now_ns: u64) -> bool {
-        self.consistency.is_distrusted(now_ns)
-    }
-
-    /// What was counted so far.
-    #[must_use]
-    pub const fn counters(&self) -> SessionCounters {
-        self.counters
-    }
-
-    /// The session's configuration.
-    #[must_use]
-    pub const fn config(&self) -> &SessionConfig {
-        &self.config
     }
 
     // Deadlines and changes that the other files share.
@@ -238,6 +168,82 @@ impl Session {
         self.last_frame_ns
             .unwrap_or_default()
             .max(self.schedule.listening_since_ns)
+    }
+}
+
+impl PoseSource for Session {
+    fn handle_input(
+        &mut self,
+        now_ns: u64,
+        input: Input<'_>,
+        on_output: &mut dyn FnMut(Output<'_>),
+    ) -> usize {
+        // NatNet has datagrams only.
+        if let Input::Datagram { source, bytes } = input {
+            let on_event = &mut |event| on_output(Output::Event(event));
+            match self.handle_datagram(now_ns, source, bytes, on_event) {
+                DatagramOutcome::Frame(frame) => on_output(Output::Frame(frame)),
+                DatagramOutcome::Definitions(definitions) => {
+                    on_output(Output::Names(definitions.into()));
+                }
+                _ => {}
+            }
+        }
+        0
+    }
+
+    fn handle_timeout(&mut self, now_ns: u64, on_output: &mut dyn FnMut(Output<'_>)) {
+        self.handle_timeout(now_ns, &mut |event| on_output(Output::Event(event)));
+    }
+
+    fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
+        self.poll_transmit(now_ns)
+    }
+
+    fn poll_timeout(&self) -> Option<u64> {
+        self.poll_timeout()
+    }
+
+    fn unreadable(&self) -> Option<DecodeError> {
+        self.unreadable
+    }
+
+    /// Call it directly after the [`Definitions`](DatagramOutcome::Definitions) that lack the body:
+    /// they are requested within half a second, not after
+    /// [`Timing::model_poll_ns`](crate::Timing).
+    fn request_names_again(&mut self) {
+        self.schedule.models_incomplete();
+    }
+
+    fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
+        self.config.timing.stamp_offset_ns = offset_ns;
+    }
+
+    /// [`poll_transmit`](Self::poll_transmit) returns the disconnect message and then nothing more.
+    fn close(&mut self) {
+        self.phase = Phase::Closing;
+    }
+
+    fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    fn stale_for_ns(&self, now_ns: u64) -> Option<u64> {
+        self.last_frame_ns
+            .map(|last_ns| now_ns.saturating_sub(last_ns))
+            .filter(|silent_ns| *silent_ns > self.config.timing.stale_after_ns)
+    }
+
+    fn other_source(&self) -> Option<IpAddr> {
+        self.other_source
+    }
+
+    fn is_contradicted(&self, now_ns: u64) -> bool {
+        self.consistency.is_distrusted(now_ns)
+    }
+
+    fn counters(&self) -> SessionCounters {
+        self.counters
     }
 }
 

@@ -21,20 +21,21 @@ pub use session::StreamSession;
 
 /// How a message arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Over {
+pub(crate) enum Over {
     /// On the stream.
     Stream,
     /// In a datagram.
     Datagram,
 }
 
-/// What became of the first message of some bytes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Progress {
-    /// It has this length, and was used.
-    Used(usize),
-    /// It is not complete.
-    Incomplete,
+/// What a protocol needs with the bytes of a message.
+pub struct Incoming<'a> {
+    /// When they arrived, on the local clock.
+    pub(crate) now_ns: u64,
+    pub(crate) over: Over,
+    pub(crate) link: &'a mut Link,
+    /// Takes what is said to the owner.
+    pub(crate) on_output: &'a mut dyn FnMut(Output<'_>),
 }
 
 /// Why a stream can't go on.
@@ -54,18 +55,11 @@ pub trait Dialogue {
     /// The stream is open; nothing of an earlier one is valid.
     fn open(&mut self, now_ns: u64, link: &mut Link);
 
-    /// Reads the first message of `bytes`.
+    /// Reads the first message of `bytes`, and returns its length; none if it is not complete.
     ///
     /// # Errors
     /// The stream can't go on.
-    fn read(
-        &mut self,
-        now_ns: u64,
-        bytes: &[u8],
-        over: Over,
-        link: &mut Link,
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) -> Result<Progress, Broken>;
+    fn read(&mut self, bytes: &[u8], with: &mut Incoming<'_>) -> Result<Option<usize>, Broken>;
 
     /// Says what is due.
     fn poll(&mut self, now_ns: u64, link: &mut Link);
@@ -99,6 +93,40 @@ const OTHER_SOURCES: usize = 4;
 pub(crate) struct LastFrame {
     newest: Option<(u64, i32)>,
     older: u32,
+}
+
+impl Incoming<'_> {
+    /// Passes a frame on.
+    pub(crate) fn frame(&mut self, number: i32, stamp_us: u64, bodies: &[Body]) {
+        let (link, now_ns) = (&mut *self.link, self.now_ns);
+        if core::mem::take(&mut link.fell_back)
+            && self.over == Over::Stream
+            && now_ns.saturating_sub(link.since_ns) <= EVIDENCE_NS
+        {
+            (self.on_output)(Output::Event(SessionEvent::DatagramsBlocked));
+        }
+        link.counters.frames += 1;
+        link.last_frame_ns = Some(now_ns);
+        link.is_stale = false;
+        let capture = link.capture(stamp_us, now_ns);
+        (self.on_output)(Output::Frame(PoseFrame {
+            number,
+            receive_time_ns: now_ns,
+            capture,
+            flags: FrameFlags::default(),
+            definitions_current: true,
+            bodies: Bodies {
+                of: BodiesOf::List(bodies.iter()),
+                up_axis: link.config.up_axis,
+            },
+        }));
+    }
+
+    /// The server speaks the protocol.
+    pub(crate) fn established(&mut self) {
+        self.link.phase = Phase::Open;
+        (self.on_output)(Output::Event(SessionEvent::Opened));
+    }
 }
 
 /// The state of the stream and of the frames.
@@ -172,12 +200,6 @@ impl Link {
         }
     }
 
-    /// The server speaks the protocol.
-    pub(crate) fn established(&mut self, on_output: &mut dyn FnMut(Output<'_>)) {
-        self.phase = Phase::Open;
-        on_output(Output::Event(SessionEvent::Opened));
-    }
-
     /// Whether the stream is open and the server has not shown that it speaks the protocol.
     fn is_mute(&self) -> bool {
         self.local.is_some() && self.phase != Phase::Open
@@ -234,38 +256,6 @@ impl Link {
             older: 0,
         };
         true
-    }
-
-    /// Passes a frame on.
-    pub(crate) fn frame(
-        &mut self,
-        now_ns: u64,
-        over: Over,
-        (number, stamp_us): (i32, u64),
-        bodies: &[Body],
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) {
-        if core::mem::take(&mut self.fell_back)
-            && over == Over::Stream
-            && now_ns.saturating_sub(self.since_ns) <= EVIDENCE_NS
-        {
-            on_output(Output::Event(SessionEvent::DatagramsBlocked));
-        }
-        self.counters.frames += 1;
-        self.last_frame_ns = Some(now_ns);
-        self.is_stale = false;
-        let capture = self.capture(stamp_us, now_ns);
-        on_output(Output::Frame(PoseFrame {
-            number,
-            receive_time_ns: now_ns,
-            capture,
-            flags: FrameFlags::default(),
-            definitions_current: true,
-            bodies: Bodies {
-                of: BodiesOf::List(bodies.iter()),
-                up_axis: self.config.up_axis,
-            },
-        }));
     }
 
     /// When the frame was captured: never after it arrived.

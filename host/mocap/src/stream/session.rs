@@ -2,7 +2,7 @@
 
 use core::net::IpAddr;
 
-use super::{Broken, Dialogue, Link, Over, Progress};
+use super::{Broken, Dialogue, Incoming, Link, Over};
 use crate::{
     config::{SessionConfig, Transport},
     pose_source::{Input, LocalEnd, Output, PoseSource, Stream},
@@ -28,12 +28,6 @@ impl<D: Dialogue> StreamSession<D> {
             link: Link::new(config),
             dialogue,
         }
-    }
-
-    /// The session's configuration.
-    #[must_use]
-    pub const fn config(&self) -> &SessionConfig {
-        &self.link.config
     }
 
     fn opened(&mut self, now_ns: u64, local: LocalEnd) {
@@ -65,15 +59,12 @@ impl<D: Dialogue> StreamSession<D> {
             if self.link.local.is_none() {
                 return bytes.len();
             }
-            let read = self
-                .dialogue
-                .read(now_ns, rest, Over::Stream, &mut self.link, on_output);
-            match read {
-                Ok(Progress::Used(length)) => {
+            match self.read(now_ns, rest, Over::Stream, on_output) {
+                Ok(Some(length)) => {
                     used += length.max(1);
                     self.link.heard_ns = now_ns;
                 }
-                Ok(Progress::Incomplete) => break,
+                Ok(None) => break,
                 Err(broken) => {
                     self.broken(now_ns, broken, on_output);
                     return bytes.len();
@@ -81,6 +72,22 @@ impl<D: Dialogue> StreamSession<D> {
             }
         }
         used.min(bytes.len())
+    }
+
+    fn read(
+        &mut self,
+        now_ns: u64,
+        bytes: &[u8],
+        over: Over,
+        on_output: &mut dyn FnMut(Output<'_>),
+    ) -> Result<Option<usize>, Broken> {
+        let mut with = Incoming {
+            now_ns,
+            over,
+            link: &mut self.link,
+            on_output,
+        };
+        self.dialogue.read(bytes, &mut with)
     }
 
     fn broken(&mut self, now_ns: u64, broken: Broken, on_output: &mut dyn FnMut(Output<'_>)) {
@@ -127,10 +134,7 @@ impl<D: Dialogue> StreamSession<D> {
         let frames = link.counters.frames;
         let mut rest = bytes;
         while !rest.is_empty() && self.link.local.is_some() {
-            let read = self
-                .dialogue
-                .read(now_ns, rest, Over::Datagram, &mut self.link, on_output);
-            let Ok(Progress::Used(length)) = read else {
+            let Ok(Some(length)) = self.read(now_ns, rest, Over::Datagram, on_output) else {
                 self.link.counters.malformed += 1;
                 return;
             };

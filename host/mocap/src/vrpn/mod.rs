@@ -19,7 +19,7 @@ use crate::{
     config::SessionConfig,
     names::{CONTROL, NAME_LEN, Names, SenderName, body_id},
     pose_source::Output,
-    stream::{Broken, Dialogue, LastFrame, Link, Over, Progress, StreamSession},
+    stream::{Broken, Dialogue, Incoming, LastFrame, Link, Over, StreamSession},
 };
 
 pub use crate::names::Senders;
@@ -153,18 +153,12 @@ impl VrpnDialogue {
         );
     }
 
-    fn take(
-        &mut self,
-        now_ns: u64,
-        message: &Message<'_>,
-        over: Over,
-        link: &mut Link,
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) {
+    fn take(&mut self, message: &Message<'_>, with: &mut Incoming<'_>) {
+        let (link, now_ns) = (&mut *with.link, with.now_ns);
         let kind = Some(message.kind);
         match message.kind {
             // Names and clock come on the stream, which nobody else can write to.
-            _ if over == Over::Datagram && kind != self.pose => link.counters.unsolicited += 1,
+            _ if with.over == Over::Datagram && kind != self.pose => link.counters.unsolicited += 1,
             SENDER_DESCRIPTION | TYPE_DESCRIPTION => {
                 let Some(name) = message.described() else {
                     link.counters.malformed += 1;
@@ -179,11 +173,11 @@ impl VrpnDialogue {
                     if !self.introduced && name != CONTROL {
                         self.ask_as(now_ns, name, link);
                     }
-                    on_output(Output::Names(Names::Senders(&self.senders)));
+                    (with.on_output)(Output::Names(Names::Senders(&self.senders)));
                 }
             }
             _ if kind == self.pose => match message.pose() {
-                Some(pose) => self.pose(now_ns, message, &pose, over, link, on_output),
+                Some(pose) => self.pose(message, &pose, with),
                 None => link.counters.malformed += 1,
             },
             _ if kind == self.pong => {
@@ -216,15 +210,8 @@ impl VrpnDialogue {
         }
     }
 
-    fn pose(
-        &mut self,
-        now_ns: u64,
-        message: &Message<'_>,
-        pose: &Pose,
-        over: Over,
-        link: &mut Link,
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) {
+    fn pose(&mut self, message: &Message<'_>, pose: &Pose, with: &mut Incoming<'_>) {
+        let (link, now_ns) = (&mut *with.link, with.now_ns);
         let Some(name) = self.senders.name(message.sender) else {
             link.counters.early += 1;
             return;
@@ -276,8 +263,7 @@ impl VrpnDialogue {
             })
             .map(|known| known.body)
             .collect();
-        let stamp_us = message.stamp_us;
-        link.frame(now_ns, over, (self.number, stamp_us), &frame, on_output);
+        with.frame(self.number, message.stamp_us, &frame);
     }
 }
 
@@ -304,32 +290,25 @@ impl Dialogue for VrpnDialogue {
         link.say(&COOKIE);
     }
 
-    fn read(
-        &mut self,
-        now_ns: u64,
-        bytes: &[u8],
-        over: Over,
-        link: &mut Link,
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) -> Result<Progress, Broken> {
+    fn read(&mut self, bytes: &[u8], with: &mut Incoming<'_>) -> Result<Option<usize>, Broken> {
         if !self.welcomed {
             let seen = bytes.len().min(COOKIE_BEGINNING.len());
             if bytes.get(..seen) != COOKIE_BEGINNING.get(..seen) {
                 return Err(Broken::Foreign);
             }
             if bytes.len() < COOKIE.len() {
-                return Ok(Progress::Incomplete);
+                return Ok(None);
             }
             self.welcomed = true;
-            link.established(on_output);
-            self.introduce(now_ns, link);
-            return Ok(Progress::Used(COOKIE.len()));
+            with.established();
+            self.introduce(with.now_ns, with.link);
+            return Ok(Some(COOKIE.len()));
         }
         let Some((message, length)) = Message::read(bytes).map_err(|_| Broken::NoMessage)? else {
-            return Ok(Progress::Incomplete);
+            return Ok(None);
         };
-        self.take(now_ns, &message, over, link, on_output);
-        Ok(Progress::Used(length))
+        self.take(&message, with);
+        Ok(Some(length))
     }
 
     fn poll(&mut self, now_ns: u64, link: &mut Link) {

@@ -205,7 +205,7 @@ fn many_rejects_lock_the_body_out_and_consistent_poses_end_the_lock_out() {
     assert!(pose.reacquired);
     assert!((pose.x_m - 30.0).abs() < 1e-6);
     assert!(!valid(world.next_state(&elsewhere(21))).reacquired);
-    assert_eq!(world.session.counters().rejected.jump, 19);
+    assert_eq!(world.session.counters().rejected.of(RejectReason::Jump), 19);
     assert_eq!(world.session.counters().locked_out, 10);
 }
 

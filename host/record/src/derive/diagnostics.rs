@@ -5,7 +5,7 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 
 use super::header;
 use crate::{
-    Channel, EncodeError, Entry, LinkPhase, StandardTopic,
+    Channel, Entry, LinkPhase, StandardTopic,
     batch::Batch,
     standard::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue},
 };
@@ -36,7 +36,7 @@ struct Pilot {
 impl Diagnostics {
     /// Takes an entry, and adds a message if a state has changed or the board has sent its
     /// status.
-    pub(crate) fn take(&mut self, entry: &Entry, batch: &mut Batch) -> Result<(), EncodeError> {
+    pub(crate) fn take(&mut self, entry: &Entry, batch: &mut Batch) -> Result<(), String> {
         match entry {
             Entry::Tick(tick) => {
                 let pilot = Some(Pilot {

@@ -12,8 +12,8 @@ use singletrack_control::{Covariance, Estimate, Position};
 use singletrack_mocap::{Pose as BodyPose, PoseState};
 
 use crate::{
-    BASE_FRAME, Channel, ClockMapping, EncodeError, Entry, MAP_FRAME, ODOM_FRAME, Publication,
-    StandardTopic, TelemetryRecord, TickRecord,
+    BASE_FRAME, Channel, ClockMapping, Entry, MAP_FRAME, ODOM_FRAME, Publication, StandardTopic,
+    TelemetryRecord, TickRecord,
     batch::Batch,
     message::Coded,
     standard::{
@@ -32,7 +32,6 @@ pub(crate) use diagnostics::Diagnostics;
 /// give the same bytes. An encoder allocates: use it on the thread that writes or sends.
 #[derive(Debug)]
 pub struct Encoder {
-    start: ClockMapping,
     diagnostics: Diagnostics,
     batch: Batch,
 }
@@ -41,7 +40,6 @@ impl Encoder {
     /// An encoder for a record that begins at `start`.
     pub fn new(start: ClockMapping) -> Self {
         Self {
-            start,
             diagnostics: Diagnostics::default(),
             batch: Batch::new(start),
         }
@@ -55,14 +53,15 @@ impl Encoder {
     pub fn encode(
         &mut self,
         entry: &Entry,
-    ) -> Result<impl Iterator<Item = Publication<'_>>, EncodeError> {
+    ) -> Result<impl Iterator<Item = Publication<'_>>, String> {
         let batch = &mut self.batch;
         batch.clear();
         let own = Channel::Entry(entry.topic());
         batch.add_encoded(own, entry.sample_time_ns(), |bytes| entry.encode(bytes))?;
         derive(entry, batch)?;
         self.diagnostics.take(entry, batch)?;
-        Ok(self.batch.iter(self.start.wall_ns_at(entry.time_ns())))
+        let log_time_ns = self.batch.wall_ns_at(entry.time_ns());
+        Ok(self.batch.iter(log_time_ns))
     }
 }
 
@@ -99,7 +98,7 @@ const Q14: f64 = 1.0 / 16_384.0;
 const NODE: &str = "singletrack";
 
 /// Adds the messages that follow from `entry` alone.
-pub(crate) fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), EncodeError> {
+pub(crate) fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), String> {
     match entry {
         Entry::Tick(tick) => from_tick(tick, batch),
         Entry::Telemetry(record) => from_telemetry(record, batch),
@@ -123,7 +122,7 @@ pub(crate) fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), EncodeError
     }
 }
 
-fn from_tick(tick: &TickRecord, batch: &mut Batch) -> Result<(), EncodeError> {
+fn from_tick(tick: &TickRecord, batch: &mut Batch) -> Result<(), String> {
     let output = &tick.output;
     let time_ns = tick.pilot_time.0;
     if let Some(estimate) = &output.estimate {
@@ -162,7 +161,7 @@ fn from_estimate(
     estimate: &Estimate,
     covariance: Option<&Covariance>,
     batch: &mut Batch,
-) -> Result<(), EncodeError> {
+) -> Result<(), String> {
     let time_ns = estimate.time.0;
     let odometry = Odometry {
         header: header(time_ns, ODOM_FRAME, batch),
@@ -209,7 +208,7 @@ fn from_estimate(
     add(StandardTopic::Transforms, time_ns, &transforms, batch)
 }
 
-fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), EncodeError> {
+fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), String> {
     let Some(time_ns) = record.new_imu_time_ns() else {
         return Ok(());
     };
@@ -229,7 +228,7 @@ fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), Enc
     add(StandardTopic::Imu, time_ns, &message, batch)
 }
 
-fn from_pose(pose: &BodyPose, batch: &mut Batch) -> Result<(), EncodeError> {
+fn from_pose(pose: &BodyPose, batch: &mut Batch) -> Result<(), String> {
     let time_ns = pose.capture_time_ns;
     let message = PoseStamped {
         header: header(time_ns, MAP_FRAME, batch),
@@ -250,7 +249,7 @@ fn add(
     time_ns: u64,
     message: &impl serde::Serialize,
     batch: &mut Batch,
-) -> Result<(), EncodeError> {
+) -> Result<(), String> {
     batch.add(Channel::Standard(topic), time_ns, message)
 }
 

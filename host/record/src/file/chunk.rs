@@ -13,9 +13,6 @@ use mcap::{
 /// allocated.
 pub(crate) const MAX_PART_LENGTH: usize = 16 << 20;
 
-/// Opcode and length of a record.
-const HEAD_LENGTH: usize = 1 + 8;
-
 /// The records of one chunk. It is reused for all chunks of a file and keeps its memory.
 #[derive(Default)]
 pub(crate) struct Chunk {
@@ -24,29 +21,10 @@ pub(crate) struct Chunk {
     at: usize,
 }
 
-/// Why a chunk is refused.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum ChunkError {
-    #[error("a chunk of {size} bytes, more than the {limit} that one may have")]
-    TooLong { size: u64, limit: usize },
-    #[error("a chunk is compressed with {0:?}; only zstd is known")]
-    Compression(String),
-    #[error("a chunk does not decompress: {0}")]
-    Zstd(#[from] std::io::Error),
-    #[error("a chunk holds {actual} bytes instead of {expected}")]
-    Size { expected: u64, actual: usize },
-    #[error("the checksum of a chunk is {actual:08x} instead of {expected:08x}")]
-    Checksum { expected: u32, actual: u32 },
-    #[error("a record in a chunk is longer than the rest of it")]
-    Record,
-    #[error(transparent)]
-    Container(#[from] McapError),
-}
-
 impl Chunk {
     /// Opens the chunk that the content of a part of the file encodes.
-    pub(crate) fn open_part(&mut self, content: &[u8]) -> Result<(), ChunkError> {
-        match parse_record(op::CHUNK, content)? {
+    pub(crate) fn open_part(&mut self, content: &[u8]) -> Result<(), String> {
+        match parse_record(op::CHUNK, content).map_err(|error| error.to_string())? {
             Record::Chunk { header, data } => self.open(&header, &data, MAX_PART_LENGTH),
             _ => Ok(()),
         }
@@ -54,68 +32,81 @@ impl Chunk {
 
     /// Decompresses a whole chunk and checks it before any of its records is used. A chunk
     /// of more than `limit` bytes is refused.
-    fn open(&mut self, header: &ChunkHeader, data: &[u8], limit: usize) -> Result<(), ChunkError> {
+    fn open(&mut self, header: &ChunkHeader, data: &[u8], limit: usize) -> Result<(), String> {
         self.content.clear();
         self.at = 0;
-        let size = usize::try_from(header.uncompressed_size)
-            .ok()
-            .filter(|size| *size <= limit)
-            .ok_or(ChunkError::TooLong {
-                size: header.uncompressed_size,
-                limit,
-            })?;
+        let size = usize::try_from(header.uncompressed_size).unwrap_or(usize::MAX);
+        if size > limit {
+            return Err(format!(
+                "a chunk of {size} bytes, more than the {limit} that one may have"
+            ));
+        }
         match header.compression.as_str() {
             "" => self.content.extend_from_slice(data),
-            "zstd" => {
-                self.content.reserve(size);
-                let zstd = match &mut self.zstd {
-                    Some(zstd) => zstd,
-                    none => none.insert(zstd::bulk::Decompressor::new()?),
-                };
-                // In one call, into memory that need not be cleared first.
-                zstd.decompress_to_buffer(data, &mut self.content)?;
+            "zstd" => self.decompress(data, size)?,
+            other => {
+                return Err(format!(
+                    "a chunk is compressed with {other:?}; only zstd is known"
+                ));
             }
-            other => return Err(ChunkError::Compression(other.to_owned())),
         }
-        let refused = if self.content.len() == size {
-            let actual = crc32fast::hash(&self.content);
-            // Zero means that there is no checksum.
-            (![0, actual].contains(&header.uncompressed_crc)).then_some(ChunkError::Checksum {
-                expected: header.uncompressed_crc,
-                actual,
-            })
-        } else {
-            Some(ChunkError::Size {
-                expected: header.uncompressed_size,
-                actual: self.content.len(),
-            })
+        let checked = check(&self.content, size, header.uncompressed_crc);
+        if checked.is_err() {
+            self.content.clear();
+        }
+        checked
+    }
+
+    /// In one call, into memory that need not be cleared first.
+    fn decompress(&mut self, data: &[u8], size: usize) -> Result<(), String> {
+        let failed = |error| format!("a chunk does not decompress: {error}");
+        self.content.reserve(size);
+        let zstd = match &mut self.zstd {
+            Some(zstd) => zstd,
+            none => none.insert(zstd::bulk::Decompressor::new().map_err(failed)?),
         };
-        match refused {
-            Some(error) => {
-                self.content.clear();
-                Err(error)
-            }
-            None => Ok(()),
-        }
+        zstd.decompress_to_buffer(data, &mut self.content)
+            .map(drop)
+            .map_err(failed)
     }
 
     /// The next record: opcode and content.
-    pub(crate) fn next(&mut self) -> Option<Result<(u8, &[u8]), ChunkError>> {
-        let rest = self.content.get(self.at..)?;
+    pub(crate) fn next(&mut self) -> Option<Result<(u8, &[u8]), String>> {
+        let mut rest = self.content.get(self.at..)?;
         if rest.is_empty() {
             return None;
         }
-        let record = rest.split_first_chunk().and_then(|(head, rest)| {
-            let [opcode, length @ ..]: &[u8; HEAD_LENGTH] = head;
-            let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-            Some((*opcode, rest.get(..length)?))
-        });
-        let Some((opcode, content)) = record else {
+        let Some((opcode, content)) = split_record(&mut rest) else {
             self.at = self.content.len();
-            return Some(Err(ChunkError::Record));
+            let why = "a record in a chunk is longer than the rest of it";
+            return Some(Err(why.to_owned()));
         };
-        self.at += HEAD_LENGTH + content.len();
+        self.at = self.content.len() - rest.len();
         Some(Ok((opcode, content)))
+    }
+}
+
+/// Takes the first record of some bytes: opcode and content.
+pub(crate) fn split_record<'a>(rest: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
+    let (&opcode, after) = rest.split_first()?;
+    let (length, after) = after.split_first_chunk()?;
+    let (content, after) =
+        after.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
+    *rest = after;
+    Some((opcode, content))
+}
+
+/// Checks what a chunk holds; a checksum of zero is none.
+fn check(content: &[u8], size: usize, checksum: u32) -> Result<(), String> {
+    let (length, actual) = (content.len(), crc32fast::hash(content));
+    if length != size {
+        Err(format!("a chunk holds {length} bytes instead of {size}"))
+    } else if ![0, actual].contains(&checksum) {
+        Err(format!(
+            "the checksum of a chunk is {actual:08x} instead of {checksum:08x}"
+        ))
+    } else {
+        Ok(())
     }
 }
 
@@ -202,7 +193,10 @@ fn after_field(field: FieldLayout, content: &[u8]) -> Option<&[u8]> {
 
 /// Parses a part of a file as [`mcap::parse_record`] does. The memory that it takes is bounded by
 /// that of the part.
-pub(crate) fn parse_record(opcode: u8, content: &[u8]) -> Result<Record<'_>, McapError> {
+///
+/// # Errors
+/// The content is no such part.
+pub fn parse_record(opcode: u8, content: &[u8]) -> Result<Record<'_>, McapError> {
     let mut rest = content;
     for field in fields(opcode) {
         rest = after_field(*field, rest).ok_or(McapError::UnexpectedEof)?;

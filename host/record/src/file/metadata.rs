@@ -13,7 +13,10 @@ use mcap::{
     records::{Metadata, Record, Statistics, op},
 };
 
-use super::{RecordError, chunk::parse_record};
+use super::{
+    RecordError,
+    chunk::{parse_record, split_record},
+};
 use crate::{ClockMapping, Meta, RECORD_VERSION, Topic};
 
 /// Name of the metadata in the file.
@@ -68,11 +71,9 @@ impl Meta {
         let protocol_version = number("protocol_version")?;
         Ok(Self {
             configuration: std::str::from_utf8(configuration)
-                .map_err(|_| RecordError::Metadata {
-                    path: path.to_owned(),
-                    key: CONFIGURATION_NAME,
-                    value: String::from_utf8_lossy(configuration).into_owned(),
-                    expected: "UTF-8",
+                .map_err(|_| {
+                    let value = String::from_utf8_lossy(configuration);
+                    unusable(path, CONFIGURATION_NAME, &value, "UTF-8")
                 })?
                 .to_owned(),
             software: metadata
@@ -84,12 +85,8 @@ impl Meta {
                 })
                 .collect(),
             protocol_version: u16::try_from(protocol_version).map_err(|_| {
-                RecordError::Metadata {
-                    path: path.to_owned(),
-                    key: "protocol_version",
-                    value: protocol_version.to_string(),
-                    expected: "a number up to 65535",
-                }
+                let value = protocol_version.to_string();
+                unusable(path, "protocol_version", &value, "a number up to 65535")
             })?,
             seed: match metadata.metadata.get("seed") {
                 Some(_) => Some(number("seed")?),
@@ -109,21 +106,26 @@ pub(crate) fn check_version(path: &Path, metadata: &Metadata) -> Result<(), Reco
     if found == u64::from(RECORD_VERSION) {
         return Ok(());
     }
-    Err(RecordError::OtherVersion {
-        path: path.to_owned(),
-        found: u32::try_from(found).unwrap_or(u32::MAX),
-        known: RECORD_VERSION,
-    })
+    let why = format!(
+        "{} is a record of version {found}; this program reads version {RECORD_VERSION}: use the \
+         singletrack of the release that wrote it",
+        path.display()
+    );
+    Err(RecordError::Invalid(why))
 }
 
 fn number(path: &Path, metadata: &Metadata, key: &'static str) -> Result<u64, RecordError> {
     let value = metadata.metadata.get(key).map_or("", String::as_str);
-    value.parse().map_err(|_| RecordError::Metadata {
-        path: path.to_owned(),
-        key,
-        value: value.to_owned(),
-        expected: "a number",
-    })
+    value
+        .parse()
+        .map_err(|_| unusable(path, key, value, "a number"))
+}
+
+fn unusable(path: &Path, key: &str, value: &str, expected: &str) -> RecordError {
+    let path = path.display();
+    RecordError::Invalid(format!(
+        "the metadata of {path} has {key} = {value:?}, which is not {expected}"
+    ))
 }
 
 /// The footer: opcode, length and contents, and the bytes after which a file ends.
@@ -172,7 +174,7 @@ fn summary(path: &Path) -> Option<Vec<u8>> {
     let mut tail = [0; TAIL];
     file.read_exact(&mut tail).ok()?;
     let (footer, magic) = tail.split_at_checked(FOOTER)?;
-    let (opcode, content) = next(&mut &*footer)?;
+    let (opcode, content) = split_record(&mut &*footer)?;
     if magic != mcap::MAGIC || opcode != op::FOOTER {
         return None;
     }
@@ -190,17 +192,7 @@ fn summary(path: &Path) -> Option<Vec<u8>> {
 /// The channels and the statistics of a summary.
 fn records(summary: &[u8]) -> impl Iterator<Item = Record<'_>> {
     let mut rest = summary;
-    core::iter::from_fn(move || next(&mut rest))
+    core::iter::from_fn(move || split_record(&mut rest))
         .filter(|(opcode, _)| matches!(*opcode, op::CHANNEL | op::STATISTICS))
         .filter_map(|(opcode, content)| parse_record(opcode, content).ok())
-}
-
-/// The next part of a summary: its opcode and its content.
-fn next<'a>(rest: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
-    let (&opcode, after) = rest.split_first()?;
-    let (length, after) = after.split_first_chunk()?;
-    let (content, after) =
-        after.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
-    *rest = after;
-    Some((opcode, content))
 }

@@ -13,8 +13,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::EncodeError;
-
+pub use chunk::parse_record;
 pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
 pub use reader::{Ending, Reader, Recorded};
 pub use recorder::{Finished, Recorder, part_path};
@@ -76,14 +75,6 @@ pub enum RecordError {
         /// The reason.
         source: Box<mcap::McapError>,
     },
-    /// An entry could not be encoded.
-    #[error("{source} for {}", path.display())]
-    Encode {
-        /// The unfinished file.
-        path: PathBuf,
-        /// The message and the reason.
-        source: EncodeError,
-    },
     /// The file is not an MCAP file.
     #[error("{} is not an MCAP file: name a record written by singletrackd, simulate or demo (*.mcap or *.mcap.part)", .0.display())]
     NotMcap(PathBuf),
@@ -105,36 +96,10 @@ pub enum RecordError {
         /// Its length.
         bytes: u64,
     },
-    /// A value in the metadata is invalid.
-    #[error("the metadata of {} has {key} = {value:?}, which is not {expected}", path.display())]
-    Metadata {
-        /// The file.
-        path: PathBuf,
-        /// The key.
-        key: &'static str,
-        /// The value.
-        value: String,
-        /// The expected value.
-        expected: &'static str,
-    },
-    /// The record has another version.
-    #[error("{} is a record of version {found}; this program reads version {known}: use the singletrack of the release that wrote it", path.display())]
-    OtherVersion {
-        /// The file.
-        path: PathBuf,
-        /// Its version.
-        found: u32,
-        /// The version that this program reads.
-        known: u32,
-    },
-    /// A message has a known name and another layout.
-    #[error("{} has another layout of {schema} than this program: use the singletrack of the release that wrote it", path.display())]
-    OtherSchema {
-        /// The file.
-        path: PathBuf,
-        /// The message.
-        schema: String,
-    },
+    /// An entry could not be encoded, or the record has another version, layout or metadata than
+    /// this program knows.
+    #[error("{0}")]
+    Invalid(String),
     /// The file is damaged, and not only truncated.
     #[error("{} is damaged after {entries} entries, within its first {bytes} bytes: {reason}; the entries before can be used, and `singletrack recover` saves the undamaged ones after it", path.display())]
     Damaged {

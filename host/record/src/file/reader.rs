@@ -19,7 +19,7 @@ use mcap::{
 
 use super::{
     RecordError,
-    chunk::{Chunk, ChunkError, MAX_PART_LENGTH, is_data_part, parse_record},
+    chunk::{Chunk, MAX_PART_LENGTH, is_data_part, parse_record},
     metadata::{CONFIGURATION_NAME, METADATA_NAME, check_version, message_count, span_wall_ns},
     recorder::{PROFILE, failure, part_path},
 };
@@ -273,26 +273,12 @@ impl Reader {
         let Some(Recorded { topic, .. }) = self.at else {
             return Ok(());
         };
-        if topic == Topic::Tick
-            && let Some(list_at) = self.events_at
-            && let Some((head, _)) = self.content.split_at_mut_checked(list_at + LENGTH)
-            && let Some(length) = head.last_chunk_mut::<LENGTH>()
-        {
-            // The value of a list is its length. Its elements are half of a tick and need
-            // not be decoded.
-            let encoded = mem::take(length);
-            let read = topic.read_values(head, values);
-            if let Some(length) = head.last_chunk_mut() {
-                *length = encoded;
-            }
-            if let Some(shown) = values.last_mut() {
-                *shown = Value::Unsigned(u32::from_le_bytes(encoded).into());
-            }
-            return read.map_err(|reason| self.invalid(topic, &reason));
+        let events = self.without_events(topic, |content| topic.read_values(content, values))?;
+        // The value of a list is its length.
+        if let (Some(events), Some(shown)) = (events, values.last_mut()) {
+            *shown = Value::Unsigned(events.into());
         }
-        topic
-            .read_values(&self.content, values)
-            .map_err(|reason| self.invalid(topic, &reason))
+        Ok(())
     }
 
     /// Passes the message that [`Reader::advance`] went to to `take`; nothing before the first. A
@@ -305,24 +291,37 @@ impl Reader {
         let Some(Recorded { topic, .. }) = self.at else {
             return Ok(());
         };
+        self.without_events(topic, |content| {
+            take(&Entry::decode(topic, content)?);
+            Ok(())
+        })
+        .map(drop)
+    }
+
+    /// Reads the message at hand; a tick without its events, which are half of it and need not be
+    /// decoded. Returns how many they are.
+    fn without_events(
+        &mut self,
+        topic: Topic,
+        read: impl FnOnce(&[u8]) -> Result<(), String>,
+    ) -> Result<Option<u32>, RecordError> {
         let events_at = self.events_at.filter(|_| topic == Topic::Tick);
-        let head = events_at.and_then(|at| self.content.split_at_mut_checked(at + LENGTH));
-        let decoded = match head {
-            Some((head, _)) => {
-                let encoded = head.last_chunk_mut::<LENGTH>().map(mem::take);
-                let decoded = Entry::decode(topic, head);
-                if let (Some(length), Some(encoded)) = (head.last_chunk_mut(), encoded) {
-                    *length = encoded;
+        let head = events_at.and_then(|at| self.content.get_mut(..at + LENGTH));
+        let mut events = None;
+        let read = match head {
+            Some(head) => {
+                let length = head.last_chunk_mut::<LENGTH>().map(mem::take);
+                let read = read(head);
+                if let (Some(place), Some(length)) = (head.last_chunk_mut(), length) {
+                    *place = length;
+                    events = Some(u32::from_le_bytes(length));
                 }
-                decoded
+                read
             }
-            None => Entry::decode(topic, &self.content),
+            None => read(&self.content),
         };
-        match decoded {
-            Ok(entry) => take(&entry),
-            Err(reason) => return Err(self.invalid(topic, &reason)),
-        }
-        Ok(())
+        read.map_err(|reason| self.invalid(topic, &reason))?;
+        Ok(events)
     }
 
     /// Adds the message that [`Reader::advance`] went to to `json`, as
@@ -416,7 +415,7 @@ impl Reader {
 
     /// Reads the next record of the container outside a chunk.
     fn step_outside(&mut self) -> Result<Step, RecordError> {
-        let step = match self.linear.next_event() {
+        let (opcode, data) = match self.linear.next_event() {
             None => return Ok(Step::End),
             Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
                 let buffer = self.linear.insert(wanted.clamp(1, READ_LENGTH));
@@ -429,40 +428,30 @@ impl Reader {
                 self.linear.notify_read(length);
                 return Ok(Step::Nothing);
             }
-            Some(Ok(LinearReadEvent::Record { opcode, data }))
-                if !self.data_ended && !is_data_part(opcode, data) =>
-            {
-                Err(Refused::Damage(format!(
-                    "a part of kind {opcode:#04x} stands where there is none"
-                )))
+            Some(Ok(LinearReadEvent::Record { opcode, data })) => (opcode, data),
+            Some(Err(McapError::BadMagic)) if self.catalogue.header.is_none() => {
+                return Err(RecordError::NotMcap(self.path.clone()));
             }
-            Some(Ok(LinearReadEvent::Record {
-                opcode: op::DATA_END,
-                ..
-            })) => {
+            Some(Err(error)) => return Err(self.refuse(error.into())),
+        };
+        let step = match opcode {
+            _ if !self.data_ended && !is_data_part(opcode, data) => Err(Refused::Damage(format!(
+                "a part of kind {opcode:#04x} stands where there is none"
+            ))),
+            op::DATA_END => {
                 self.data_ended = true;
                 Ok(Step::Nothing)
             }
             // They are many and have nothing new.
-            Some(Ok(LinearReadEvent::Record {
-                opcode: op::MESSAGE_INDEX | op::CHUNK_INDEX,
-                ..
-            })) => Ok(Step::Nothing),
-            Some(Ok(LinearReadEvent::Record {
-                opcode: op::CHUNK,
-                data,
-            })) => match self.chunk.open_part(data) {
+            op::MESSAGE_INDEX | op::CHUNK_INDEX => Ok(Step::Nothing),
+            op::CHUNK => match self.chunk.open_part(data) {
                 Ok(()) => Ok(Step::Nothing),
                 Err(error) => Err(error.into()),
             },
-            Some(Ok(LinearReadEvent::Record { opcode, data })) => {
+            _ => {
                 let topics = self.topics.as_deref();
                 self.catalogue.take(opcode, data, topics, &mut self.content)
             }
-            Some(Err(McapError::BadMagic)) if self.catalogue.header.is_none() => {
-                return Err(RecordError::NotMcap(self.path.clone()));
-            }
-            Some(Err(error)) => Err(error.into()),
         };
         step.map_err(|refused| self.refuse(refused))
     }
@@ -470,10 +459,11 @@ impl Reader {
     fn refuse(&self, refused: Refused) -> RecordError {
         match refused {
             Refused::Damage(reason) => self.damaged(reason),
-            Refused::OtherSchema(schema) => RecordError::OtherSchema {
-                path: self.path.clone(),
-                schema,
-            },
+            Refused::OtherSchema(schema) => RecordError::Invalid(format!(
+                "{} has another layout of {schema} than this program: use the singletrack of the \
+                 release that wrote it",
+                self.path.display()
+            )),
         }
     }
 }
@@ -490,9 +480,9 @@ impl From<McapError> for Refused {
     }
 }
 
-impl From<ChunkError> for Refused {
-    fn from(error: ChunkError) -> Self {
-        Self::Damage(error.to_string())
+impl From<String> for Refused {
+    fn from(why: String) -> Self {
+        Self::Damage(why)
     }
 }
 

@@ -125,13 +125,9 @@ impl Recorder {
     ///
     /// When the file can't be written; later calls fail as well.
     pub fn write(&mut self, entry: &Entry) -> Result<(), RecordError> {
-        let publications = self
-            .encoder
-            .encode(entry)
-            .map_err(|source| RecordError::Encode {
-                path: self.container.part.to_owned(),
-                source,
-            })?;
+        let publications = self.encoder.encode(entry).map_err(|why| {
+            RecordError::Invalid(format!("{why} for {}", self.container.part.display()))
+        })?;
         for publication in publications {
             let Some(channel) = self.channels.get_mut(publication.channel.index()) else {
                 continue;

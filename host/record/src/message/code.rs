@@ -12,7 +12,7 @@ use singletrack_pilot::{
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
 
 use super::{
-    Definition, InvalidMessage,
+    Definition,
     field::{Field, Represents},
 };
 use crate::{
@@ -134,7 +134,7 @@ impl<C: Coded> Represents<C> for Code<C> {
         Self(*value)
     }
 
-    fn value(self) -> Result<C, InvalidMessage> {
+    fn value(self) -> Result<C, String> {
         Ok(self.0)
     }
 }
@@ -144,7 +144,7 @@ impl<C: Coded> Represents<Option<C>> for OptionalCode<C> {
         Self(*value)
     }
 
-    fn value(self) -> Result<Option<C>, InvalidMessage> {
+    fn value(self) -> Result<Option<C>, String> {
         Ok(self.0)
     }
 }

@@ -120,7 +120,7 @@ macro_rules! fields {
                 }
             }
 
-            fn value(self) -> Result<$source, $crate::message::InvalidMessage> {
+            fn value(self) -> Result<$source, String> {
                 fields!(@value self $source {} $( $field $(= $part)? $(=> $function)?, )*)
             }
         }
@@ -167,7 +167,7 @@ macro_rules! array {
                 Self { $($field),* }
             }
 
-            fn value(self) -> Result<[$item; $length], $crate::message::InvalidMessage> {
+            fn value(self) -> Result<[$item; $length], String> {
                 Ok([$(self.$field),*])
             }
         }
@@ -254,7 +254,7 @@ macro_rules! choice {
                 }
             }
 
-            fn value(self) -> Result<$source, $crate::message::InvalidMessage> {
+            fn value(self) -> Result<$source, String> {
                 let part = $crate::message::field::Part($what);
                 Ok(match self.kind.0 {
                     $($kind::$variant => $source::$variant $((part.take(self.$field, $part)?))?,)*

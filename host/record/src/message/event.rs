@@ -10,7 +10,6 @@ use singletrack_pilot::{
 };
 
 use super::{
-    InvalidMessage,
     code::{Code, OptionalCode},
     declare::{Fields, choice, fields, message},
     field::{GainMessage, Group, Maybe, Part, PointMessage, Represents, VelocityMessage},
@@ -266,7 +265,7 @@ impl Represents<Setpoint> for SetpointMessage {
         }
     }
 
-    fn value(self) -> Result<Setpoint, InvalidMessage> {
+    fn value(self) -> Result<Setpoint, String> {
         let part = Part("a set-point");
         let demand = if self.velocity.0.is_some() {
             Demand::Point(ReferencePoint {

@@ -5,7 +5,7 @@ use singletrack_control::{Position, Time, Velocity};
 use singletrack_protocol::Sequence;
 
 use super::{
-    Definition, InvalidMessage,
+    Definition,
     declare::{Fields, Message, declare, fields, message},
 };
 use crate::value::{Value, Visitor};
@@ -37,7 +37,7 @@ pub(crate) trait Represents<T>: Sized {
     /// # Errors
     ///
     /// When no value has it.
-    fn value(self) -> Result<T, InvalidMessage>;
+    fn value(self) -> Result<T, String>;
 }
 
 /// Takes the parts that a message of a certain kind must have, here named for errors.
@@ -50,11 +50,11 @@ impl Part {
         self,
         field: impl Represents<Option<T>>,
         part: &'static str,
-    ) -> Result<T, InvalidMessage> {
+    ) -> Result<T, String> {
         let kind = self.0;
         field
             .value()?
-            .ok_or(InvalidMessage::PartMissing { kind, part })
+            .ok_or_else(|| format!("{kind} without {part}"))
     }
 }
 
@@ -81,7 +81,7 @@ macro_rules! plain {
                     value.clone()
                 }
 
-                fn value(self) -> Result<$type, InvalidMessage> {
+                fn value(self) -> Result<$type, String> {
                     Ok(self)
                 }
             }
@@ -107,7 +107,7 @@ impl Represents<Time> for u64 {
         time.0
     }
 
-    fn value(self) -> Result<Time, InvalidMessage> {
+    fn value(self) -> Result<Time, String> {
         Ok(Time(self))
     }
 }
@@ -117,7 +117,7 @@ impl Represents<Sequence> for u8 {
         sequence.0
     }
 
-    fn value(self) -> Result<Sequence, InvalidMessage> {
+    fn value(self) -> Result<Sequence, String> {
         Ok(Sequence(self))
     }
 }
@@ -145,12 +145,10 @@ impl<M: Represents<T>, T, const MAX: usize> Represents<heapless::Vec<T, MAX>> fo
         values.iter().map(M::of).collect()
     }
 
-    fn value(self) -> Result<heapless::Vec<T, MAX>, InvalidMessage> {
+    fn value(self) -> Result<heapless::Vec<T, MAX>, String> {
         if self.len() > MAX {
-            return Err(InvalidMessage::TooManyEvents {
-                count: self.len(),
-                max: MAX,
-            });
+            let count = self.len();
+            return Err(format!("{count} events in a tick, which has at most {MAX}"));
         }
         self.into_iter().map(M::value).collect()
     }
@@ -200,7 +198,7 @@ impl<F: Represents<T>, T> Represents<Option<T>> for Maybe<F> {
         Self(value.as_ref().map(F::of))
     }
 
-    fn value(self) -> Result<Option<T>, InvalidMessage> {
+    fn value(self) -> Result<Option<T>, String> {
         self.0.map(F::value).transpose()
     }
 }
@@ -231,7 +229,7 @@ impl<G: Represents<T>, T> Represents<T> for Group<G> {
         Self(G::of(value))
     }
 
-    fn value(self) -> Result<T, InvalidMessage> {
+    fn value(self) -> Result<T, String> {
         self.0.value()
     }
 }
@@ -249,7 +247,7 @@ macro_rules! vector {
                 Self { $x: vector.x, $y: vector.y }
             }
 
-            fn value(self) -> Result<$vector, InvalidMessage> {
+            fn value(self) -> Result<$vector, String> {
                 Ok($vector::new(self.$x, self.$y))
             }
         }

@@ -25,20 +25,6 @@ pub(crate) use report::{
 };
 pub(crate) use tick::TickMessage;
 
-/// A message that no entry of a record has as its form.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum InvalidMessage {
-    #[error("{count} events in a tick, which has at most {max}")]
-    TooManyEvents { count: usize, max: usize },
-    #[error("{kind} without {part}")]
-    PartMissing {
-        kind: &'static str,
-        part: &'static str,
-    },
-    #[error("a count of {0}, which is more than this machine can represent")]
-    CountTooLarge(u64),
-}
-
 /// The schema of a message under construction.
 #[derive(Default)]
 pub(crate) struct Definition {

@@ -8,7 +8,6 @@ use singletrack_protocol::{
 };
 
 use super::{
-    InvalidMessage,
     code::{BindingKind, Code, OptionalCode, PoseKind},
     declare::{Fields, array, fields, message},
     field::{Group, Maybe, Part, Represents},
@@ -241,7 +240,7 @@ impl Represents<Observation> for PoseMessage {
         }
     }
 
-    fn value(self) -> Result<Observation, InvalidMessage> {
+    fn value(self) -> Result<Observation, String> {
         let part = Part("a frame");
         let rejected = || part.take(self.rejected, "why it is rejected");
         let state = match self.state.0 {
@@ -256,8 +255,7 @@ impl Represents<Observation> for PoseMessage {
                     BindingKind::Ambiguous => {
                         let count: u64 = part.take(self.binding_count, "its count")?;
                         Binding::Ambiguous {
-                            count: usize::try_from(count)
-                                .map_err(|_| InvalidMessage::CountTooLarge(count))?,
+                            count: usize::try_from(count).map_err(|error| error.to_string())?,
                         }
                     }
                 })

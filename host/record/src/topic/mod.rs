@@ -277,11 +277,7 @@ impl Entry {
     /// It is no message of this topic; in words.
     pub fn decode(topic: Topic, bytes: &[u8]) -> Result<Self, String> {
         with_message!(topic, M of Variant => {
-            let value = message::decode::<M>(bytes)?.value();
-            match value {
-                Ok(value) => Ok(Variant(value)),
-                Err(error) => Err(error.to_string()),
-            }
+            Ok(Variant(message::decode::<M>(bytes)?.value()?))
         })
     }
 }

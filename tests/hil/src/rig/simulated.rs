@@ -208,13 +208,13 @@ impl Rig for SimulatedRig {
 
     fn cut_motor_sensor(&self) -> Outcome {
         Ok(self.simulator.with_world(|world| {
-            world.car.set_motor_sensor_fault(MotorSensorFault::Gone);
+            world.car.sensor_fault = MotorSensorFault::Gone;
         })?)
     }
 
     fn open_stop_switch(&self) -> Outcome {
         Ok(self
             .simulator
-            .with_world(|world| world.board.set_stop_input_open(true))?)
+            .with_world(|world| world.board.stop_input_open = true)?)
     }
 }

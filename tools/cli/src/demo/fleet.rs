@@ -174,7 +174,7 @@ fn virtual_time(
     let drives = fleet.cars.iter_mut().zip(cars);
     let record = |(drive, car): (_, &FleetCar)| {
         let path = args.out.join(file_of(&car.config, "mcap"));
-        VirtualRecord::start(&path, drive, &car.config, car.seed)
+        VirtualRecord::start(Some(&path), drive, &car.config, car.seed)
     };
     let mut records: Vec<_> = drives.map(record).collect::<Result<_, _>>()?;
     fleet.start()?;

@@ -38,7 +38,7 @@ pub(super) fn run(
     let front_axle_distance_m = args.car.vehicle()?.front_axle_distance_m;
     let simulator =
         RealTimeSimulator::start(settings::real_time(simulation.clone(), private.path()))?;
-    simulator.with_world(|world| world.cameras.set_loss_epoch(None))?;
+    simulator.with_world(|world| world.cameras.loss_epoch_us = None)?;
     let mut config = settings::daemon(args)?;
     settings::connect(&simulator, &mut config, private.path());
     write(&args.out.join(CONFIGURATION), &config.to_toml()?)?;
@@ -90,7 +90,7 @@ fn start(
     let start_ns =
         drive_start_ns(&snapshot).ok_or_else(|| not_started(&snapshot, READY_TIMEOUT))?;
     let epoch_us = start_ns.saturating_sub(simulator.started_ns) / 1000;
-    simulator.with_world(move |world| world.cameras.set_loss_epoch(Some(epoch_us)))?;
+    simulator.with_world(move |world| world.cameras.loss_epoch_us = Some(epoch_us))?;
     Ok(start_ns)
 }
 

@@ -30,11 +30,12 @@ pub(super) fn run(
     write(&args.out.join(CONFIGURATION), &config.to_toml()?)?;
     write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
     let mut drive = VirtualDrive::new(config.clone(), args.seed, simulation)?;
-    drive.world.cameras.set_loss_epoch(None);
-    let mut record = VirtualRecord::start(&args.out.join(RECORD), &mut drive, &config, args.seed)?;
+    drive.world.cameras.loss_epoch_us = None;
+    let mut record =
+        VirtualRecord::start(Some(&args.out.join(RECORD)), &mut drive, &config, args.seed)?;
     let first = drive.start()?;
     let epoch_us = drive.now_us();
-    drive.world.cameras.set_loss_epoch(Some(epoch_us));
+    drive.world.cameras.loss_epoch_us = Some(epoch_us);
 
     let wanted_s = args.duration.as_secs_f64();
     let (mut truth, mut last_s) = (Vec::new(), 0.0);

@@ -27,38 +27,8 @@ impl fmt::Debug for Grid {
 
 /// Why numbers are not a grid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum GridError {
-    /// A single line or column has no area.
-    #[error("a grid needs two values or more along {axis}, and has {count}")]
-    TooFew {
-        /// The axis' name.
-        axis: char,
-        /// How many there are.
-        count: usize,
-    },
-    /// The lines of a grid don't cross.
-    #[error(
-        "a grid's values along {axis} must be finite and ascend: {value} can't follow {before}"
-    )]
-    Order {
-        /// The axis' name.
-        axis: char,
-        /// The value before.
-        before: f64,
-        /// The value that is not finite or not greater.
-        value: f64,
-    },
-    /// Values are missing, or there are too many.
-    #[error("a grid of {columns} by {rows} has {} values, not {count}", columns * rows)]
-    Count {
-        /// Values along x.
-        columns: usize,
-        /// Values along y.
-        rows: usize,
-        /// How many there are.
-        count: usize,
-    },
-}
+#[error("{0}")]
+pub struct GridError(String);
 
 impl Grid {
     /// `values` row by row: all along `x` for the first `y`, then for the second. What
@@ -72,11 +42,11 @@ impl Grid {
         ascending('x', &x)?;
         ascending('y', &y)?;
         if values.len() != x.len() * y.len() {
-            return Err(GridError::Count {
-                columns: x.len(),
-                rows: y.len(),
-                count: values.len(),
-            });
+            let [columns, rows, count] = [&x, &y, &values].map(|numbers| numbers.len());
+            return Err(GridError(format!(
+                "a grid of {columns} by {rows} has {} values, not {count}",
+                columns * rows
+            )));
         }
         Ok(Self {
             x,
@@ -150,16 +120,16 @@ impl Grid {
 fn ascending(axis: char, values: &[f64]) -> Result<(), GridError> {
     if values.len() < 2 {
         let count = values.len();
-        return Err(GridError::TooFew { axis, count });
+        return Err(GridError(format!(
+            "a grid needs two values or more along {axis}, and has {count}"
+        )));
     }
     let mut before = f64::NEG_INFINITY;
     for value in values.iter().copied() {
         if !(value.is_finite() && value > before) {
-            return Err(GridError::Order {
-                axis,
-                before,
-                value,
-            });
+            return Err(GridError(format!(
+                "a grid's values along {axis} must be finite and ascend: {value} can't follow {before}"
+            )));
         }
         before = value;
     }

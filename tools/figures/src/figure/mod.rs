@@ -16,7 +16,6 @@ mod svg;
 mod thin;
 mod typeset;
 
-use serde::Serialize;
 use singletrack_control::words;
 
 pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
@@ -255,10 +254,9 @@ impl Curve {
 }
 
 /// A point that matters.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mark {
     /// What it is, for the legend.
-    #[serde(skip)]
     pub name: &'static str,
     /// What it looks like.
     pub kind: MarkKind,

@@ -115,7 +115,7 @@ words! {
 
 words! {
     /// What a mark looks like. Its word is its class in a style sheet.
-    pub enum MarkKind: serde {
+    pub enum MarkKind {
         /// Where a trajectory starts: a triangle.
         Start = "start",
         /// Where it ends: a circle.

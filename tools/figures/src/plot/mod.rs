@@ -8,10 +8,7 @@ mod report;
 mod sample;
 mod summary;
 
-use std::{
-    io::{self, Write as _},
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
@@ -22,9 +19,9 @@ pub use sample::TruthSample;
 
 use crate::{
     figure::Figure,
-    output::{make_folder, write},
+    output::{make_folder, print, write},
 };
-use drive::Drive;
+use drive::{Drive, Recording};
 
 /// Options of `singletrack plot`.
 #[derive(Clone, Debug, Args)]
@@ -101,10 +98,10 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
         records.push(record);
     }
     if args.list {
-        return list(&records);
+        list(&records);
+        return Ok(());
     }
-    let (record, number) = choose(&records, args.drive)?;
-    let (number, drive) = record.choose(Some(number))?;
+    let (record, number, drive) = choose(&records, args.drive)?;
     let out = args.out.clone().unwrap_or_else(|| beside(&record.path));
     let figures = if args.figures.is_empty() {
         FigureKind::of(drive).collect()
@@ -137,52 +134,47 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     for (kind, why) in &plotted.missing {
         eprintln!("singletrack: no figure {}: {why}", kind.name());
     }
-    let mut stdout = io::stdout().lock();
-    for file in &plotted.files {
-        if writeln!(stdout, "{}", file.display()).is_err() {
-            // The reader of a pipe may close it at any time.
-            break;
-        }
-    }
+    let files = plotted.files.iter();
+    let files: String = files.map(|file| format!("{}\n", file.display())).collect();
+    // They are there whether or not anyone reads their names.
+    let _ = print(&files);
     Ok(())
 }
 
-/// All drives, each with its record and its number in that, from 1.
-fn drives(records: &[Record]) -> impl DoubleEndedIterator<Item = (&Record, usize)> {
-    records.iter().flat_map(|record| {
-        let count = record.recording.drives.len();
-        (1..=count).map(move |number| (record, number))
-    })
+/// A drive, with its record and its number in that, from 1.
+type Numbered<'a> = (&'a Record, usize, &'a Drive);
+
+fn drives<'a>(records: &'a [Record]) -> Vec<Numbered<'a>> {
+    let of = |record: &'a Record| {
+        (1..)
+            .zip(&record.recording.drives)
+            .map(move |(number, drive)| (record, number, drive))
+    };
+    records.iter().flat_map(of).collect()
 }
 
-/// The drive with this number of all of them, from 1, or the operator's last one: its record, and its
-/// number there.
-fn choose(records: &[Record], wanted: Option<usize>) -> Result<(&Record, usize), PlotError> {
-    let all: Vec<_> = drives(records).collect();
+/// The drive with this number of all of them, from 1, or the operator's last one.
+fn choose(records: &[Record], wanted: Option<usize>) -> Result<Numbered<'_>, PlotError> {
+    let all = drives(records);
     let count = all.len();
     let operators = || {
         all.iter()
-            .rposition(|(record, number)| record.is_operators(*number))
+            .rposition(|(record, _, drive)| record.is_operators(drive))
     };
-    let chosen = match wanted {
-        Some(wanted) => wanted.checked_sub(1).filter(|index| *index < count),
+    let index = match wanted {
+        Some(wanted) => wanted.checked_sub(1),
         None => operators().or(count.checked_sub(1)),
     };
-    let path = || records.last().map(|last| last.path.clone());
-    let Some(index) = chosen else {
+    let Some((index, chosen)) = index.and_then(|index| Some((index, *all.get(index)?))) else {
         // Of records without a drive, the last says what it has instead.
-        if let Some(last) = records.last().filter(|_| count == 0) {
-            last.choose(None)?;
-        }
-        return Err(PlotError::UnknownDrive {
-            path: path().unwrap_or_default(),
-            wanted: wanted.unwrap_or_default(),
-            count,
+        let last = records.last().ok_or(PlotError::NoRecord)?;
+        return Err(match count {
+            0 => last.no_drive(),
+            count => last.no_such_drive(wanted.unwrap_or_default(), count),
         });
     };
     if count > 1 {
-        let (record, number) = all[index];
-        let (_, drive) = record.choose(Some(number))?;
+        let (.., drive) = chosen;
         eprintln!(
             "singletrack: drive {} of {count}, {:.1} s; choose another with --drive, or see them with \
              --list",
@@ -190,29 +182,24 @@ fn choose(records: &[Record], wanted: Option<usize>) -> Result<(&Record, usize),
             drive.duration()
         );
     }
-    Ok(all[index])
+    Ok(chosen)
 }
 
 /// Prints a line for each drive.
-fn list(records: &[Record]) -> Result<(), PlotError> {
-    let mut stdout = io::stdout().lock();
-    for (index, (record, number)) in drives(records).enumerate() {
-        let (_, drive) = record.choose(Some(number))?;
+fn list(records: &[Record]) {
+    let mut lines = String::new();
+    for (index, (record, _, drive)) in drives(records).into_iter().enumerate() {
         let begun = summary::begun(record, drive).unwrap_or_else(|| "virtual time".to_owned());
         let reference = record.reference(drive).unwrap_or_else(|| "?".to_owned());
-        let line = format!(
-            "{:>4}  {begun:<23}  {:>6.1} s  {reference:<15}  {}  {}",
+        lines += &format!(
+            "{:>4}  {begun:<23}  {:>6.1} s  {reference:<15}  {}  {}\n",
             index + 1,
             drive.duration(),
             summary::ended(record, drive),
             record.path.display()
         );
-        if writeln!(stdout, "{line}").is_err() {
-            // The reader of a pipe may close it at any time.
-            break;
-        }
     }
-    Ok(())
+    let _ = print(&lines);
 }
 
 impl Record {
@@ -223,11 +210,36 @@ impl Record {
         Some(kind.to_owned())
     }
 
-    /// Whether the drive with this number, from 1, follows a configured reference: those of the
-    /// procedures, and of programs, get theirs from outside.
-    fn is_operators(&self, number: usize) -> bool {
-        let drive = self.recording.drives.get(number - 1);
-        drive.is_some_and(|drive| self.reference(drive).is_some_and(|kind| kind != "external"))
+    /// Whether a drive follows a configured reference: those of the procedures, and of programs, get
+    /// theirs from outside.
+    fn is_operators(&self, drive: &Drive) -> bool {
+        self.reference(drive).is_some_and(|kind| kind != "external")
+    }
+
+    fn no_drive(&self) -> PlotError {
+        let Recording { changes, ticks, .. } = &self.recording;
+        let why = match changes.last() {
+            None => "it has no ticks".to_owned(),
+            Some(last) => format!(
+                "in {ticks} ticks the car was never driven; the last mode was {}{}",
+                last.mode,
+                summary::because(last.reason)
+            ),
+        };
+        self.missing(format!(
+            "there is no drive in this record: {why}; singletrack dump --topic tick shows what there is"
+        ))
+    }
+
+    fn no_such_drive(&self, wanted: usize, count: usize) -> PlotError {
+        self.missing(format!(
+            "there is no drive {wanted}: choose --drive from 1 to {count}"
+        ))
+    }
+
+    fn missing(&self, why: String) -> PlotError {
+        let path = self.path.clone();
+        PlotError::Missing { path, why }
     }
 
     /// The drive with this number, from 1, or the longest, with its number.
@@ -236,34 +248,12 @@ impl Record {
     ///
     /// When there is none.
     pub fn choose(&self, number: Option<usize>) -> Result<(usize, &Drive), PlotError> {
-        let recording = &self.recording;
-        let count = recording.drives.len();
-        let Some(longest) = recording.longest() else {
-            let why = match recording.changes.last() {
-                None => "it has no ticks".to_owned(),
-                Some(last) => format!(
-                    "in {} ticks the car was never driven; the last mode was {}{}",
-                    recording.ticks,
-                    last.mode,
-                    summary::because(last.reason)
-                ),
-            };
-            return Err(PlotError::NoDrive {
-                path: self.path.clone(),
-                why,
-            });
-        };
+        let drives = &self.recording.drives;
+        let longest = self.recording.longest().ok_or_else(|| self.no_drive())?;
         let wanted = number.unwrap_or(longest);
-        let drive = wanted
-            .checked_sub(1)
-            .and_then(|index| recording.drives.get(index));
-        drive
-            .map(|drive| (wanted, drive))
-            .ok_or_else(|| PlotError::UnknownDrive {
-                path: self.path.clone(),
-                wanted,
-                count,
-            })
+        let drive = wanted.checked_sub(1).and_then(|index| drives.get(index));
+        let drive = drive.ok_or_else(|| self.no_such_drive(wanted, drives.len()))?;
+        Ok((wanted, drive))
     }
 }
 
@@ -312,11 +302,8 @@ pub fn write_animation(
     folder: &Path,
 ) -> Result<PathBuf, PlotError> {
     let configuration = record.configuration(drive).unwrap_or_default();
-    let picture =
-        animation::animation(drive, configuration).map_err(|why| PlotError::NoAnimation {
-            path: record.path.clone(),
-            why,
-        })?;
+    let picture = animation::animation(drive, configuration)
+        .map_err(|why| record.missing(format!("no animation: {why}")))?;
     make_folder(folder)?;
     let path = folder.join(ANIMATION);
     write(&path, &picture)?;

@@ -133,31 +133,16 @@ pub enum PlotError {
     /// The record can't be read.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// The car never drove.
-    #[error("{}: there is no drive in this record: {why}; singletrack dump --topic tick shows what there is", path.display())]
-    NoDrive {
+    /// Nothing was given to plot.
+    #[error("there is no record to plot: name one")]
+    NoRecord,
+    /// The record does not hold what is asked for.
+    #[error("{}: {why}", path.display())]
+    Missing {
         /// The record.
         path: PathBuf,
-        /// What there is instead.
+        /// What it lacks, and what there is instead.
         why: String,
-    },
-    /// The record has fewer drives.
-    #[error("{}: there is no drive {wanted}: choose --drive from 1 to {count}", path.display())]
-    UnknownDrive {
-        /// The record.
-        path: PathBuf,
-        /// The number asked for.
-        wanted: usize,
-        /// How many there are.
-        count: usize,
-    },
-    /// The drive can't be shown from above.
-    #[error("{}: no animation: {why}", path.display())]
-    NoAnimation {
-        /// The record.
-        path: PathBuf,
-        /// What it lacks.
-        why: &'static str,
     },
     /// A picture can't be written.
     #[error(transparent)]

@@ -27,10 +27,7 @@ impl Times {
     pub(super) fn of(times_ns: &[u64]) -> Option<Self> {
         let intervals: Vec<f64> = times_ns
             .windows(2)
-            .filter_map(|pair| match pair {
-                [before, after] => Some((after - before) as f64 * 1e-9),
-                _ => None,
-            })
+            .map(|pair| (pair[1] - pair[0]) as f64 * 1e-9)
             .collect();
         if intervals.len() < 10 {
             return None;
@@ -101,10 +98,7 @@ fn grid(intervals: &[f64]) -> Option<f64> {
     levels.retain(|(_, count)| 100 * count > intervals.len());
     let step = levels
         .windows(2)
-        .filter_map(|pair| match pair {
-            [(low, _), (high, _)] => Some(high - low),
-            _ => None,
-        })
+        .map(|pair| pair[1].0 - pair[0].0)
         .min_by(f64::total_cmp)?;
     let lies = |level: f64| (level - (level / step).round() * step).abs() < 2.0 * ON_GRID;
     let covers = levels.iter().map(|(_, count)| count).sum::<usize>() * 100 > 95 * intervals.len();

@@ -80,26 +80,22 @@ impl FaultValue {
 /// Sets a fault by its name.
 pub(super) fn set(world: &mut World, name: &str, value: &FaultValue) -> Result<(), SetupError> {
     match name {
-        "imu" => world.set_imu_fault(value.kind(
-            name,
-            &[
-                ("none", ImuFault::None),
-                ("silent", ImuFault::Silent),
-                ("stuck", ImuFault::Stuck),
-                ("saturated", ImuFault::Saturated),
-                ("erratic", ImuFault::Erratic),
-            ],
-        )?),
-        "motor_sensor" => world.car.set_motor_sensor_fault(value.kind(
-            name,
-            &[
-                ("none", MotorSensorFault::None),
-                ("gone", MotorSensorFault::Gone),
-                ("doubled", MotorSensorFault::Doubled),
-                ("halved", MotorSensorFault::Halved),
-                ("erratic", MotorSensorFault::Erratic),
-            ],
-        )?),
+        "imu" => {
+            world.imu_fault = value.kind(
+                name,
+                &[
+                    ("none", ImuFault::None),
+                    ("silent", ImuFault::Silent),
+                    ("stuck", ImuFault::Stuck),
+                    ("saturated", ImuFault::Saturated),
+                    ("erratic", ImuFault::Erratic),
+                ],
+            )?;
+        }
+        "motor_sensor" => {
+            let known = MotorSensorFault::ALL.map(|fault| (fault.name(), fault));
+            world.car.sensor_fault = value.kind(name, &known)?;
+        }
         "cameras" => {
             world.cameras.faults.loss = value.kind(
                 name,
@@ -121,7 +117,7 @@ pub(super) fn set(world: &mut World, name: &str, value: &FaultValue) -> Result<(
         "esc_power" => world.car.set_esc_power(value.is_on(name)?),
         "battery" => world.car.set_battery_plugged(value.is_on(name)?),
         "servo_reversed" => world.car.set_servo_reversed(value.is_on(name)?),
-        "stop_switch" => world.board.set_stop_input_open(value.is_on(name)?),
+        "stop_switch" => world.board.stop_input_open = value.is_on(name)?,
         _ => {
             return Err(SetupError::new(format!(
                 "unknown fault {name:?}: use imu, motor_sensor, cameras, camera_jump_m, \

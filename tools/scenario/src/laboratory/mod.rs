@@ -10,16 +10,14 @@ use singletrack_api::{Code, Refused, Setpoint, State};
 use singletrack_control::Time;
 use singletrack_core::{
     Stalled,
-    config::{Config, ReferenceSection, TuningError},
+    config::{Config, ReferenceSection},
     reconfigure::ChangeError,
     setpoint::SetpointCommand,
     state_stream::States,
 };
-use singletrack_pilot::{Arming, PilotRequest, Tuning};
+use singletrack_pilot::{Arming, PilotRequest};
 use singletrack_record::Digest;
-use singletrack_sim::{
-    LossPattern, LossWindow, SimulationConfig, StartPose, Truth, parse_duration_us,
-};
+use singletrack_sim::{LossPattern, LossWindow, SimulationConfig, StartPose, parse_duration_us};
 
 use crate::{
     virtual_drive::{VirtualDrive, VirtualDriveError, VirtualTick},
@@ -71,24 +69,14 @@ impl Laboratory {
         })
     }
 
-    /// Records the drive to a file, from now on; a replay needs it from the first tick on.
+    /// Records the drive to a file, or in memory without one, from now on: see
+    /// [`Laboratory::take_record`]. A replay needs it from the first tick on.
     ///
     /// # Errors
     ///
     /// The file exists or can't be written.
-    pub fn record(&mut self, path: &Path) -> Result<(), VirtualRecordError> {
+    pub fn record(&mut self, path: Option<&Path>) -> Result<(), VirtualRecordError> {
         let record = VirtualRecord::start(path, &mut self.drive, &self.config, self.seed)?;
-        self.record = Some(record);
-        Ok(())
-    }
-
-    /// Records the drive in memory, from now on: see [`Laboratory::take_record`].
-    ///
-    /// # Errors
-    ///
-    /// The configuration can't be written.
-    pub fn record_in_memory(&mut self) -> Result<(), VirtualRecordError> {
-        let record = VirtualRecord::in_memory(&mut self.drive, &self.config, self.seed)?;
         self.record = Some(record);
         Ok(())
     }
@@ -193,15 +181,6 @@ impl Laboratory {
         matches!(self.config.reference, ReferenceSection::External { .. })
     }
 
-    /// Tunes the pilot, with the next tick.
-    ///
-    /// # Errors
-    ///
-    /// The configuration does not allow it.
-    pub fn tune(&self, tuning: Tuning) -> Result<(), TuningError> {
-        self.drive.tune(tuning)
-    }
-
     /// Gives a set-point by the keys of the control socket, decided after the last tick.
     ///
     /// # Errors
@@ -217,16 +196,11 @@ impl Laboratory {
         Ok(())
     }
 
-    /// The ground truth now.
-    pub fn truth(&self) -> Truth {
-        self.drive.world.truth()
-    }
-
     /// Where P truly is now, in m, with the believed distances of the front axle and of P.
     pub fn true_point(&self) -> [f64; 2] {
         let law = &self.config.law;
-        self.truth()
-            .point_p(law.front_axle_distance_m, law.point_distance_m)
+        let truth = self.drive.world.truth();
+        truth.point_p(law.front_axle_distance_m, law.point_distance_m)
     }
 
     /// Loses the markers periodically, such as `200ms@2s` from now on; never with `None`.
@@ -241,8 +215,8 @@ impl Laboratory {
             .map_err(SetupError::new)?;
         let world = &mut self.drive.world;
         let now_us = world.now_us;
-        world.cameras.set_loss_epoch(Some(now_us));
-        world.cameras.set_loss(pattern);
+        world.cameras.loss_epoch_us = Some(now_us);
+        world.cameras.parameters.loss = pattern;
         Ok(())
     }
 
@@ -255,8 +229,8 @@ impl Laboratory {
         let duration_us = parse_duration_us(duration).map_err(SetupError::new)?;
         let world = &mut self.drive.world;
         let now_us = world.now_us;
-        world.cameras.set_loss_epoch(Some(0));
-        world.cameras.add_loss_window(LossWindow {
+        world.cameras.loss_epoch_us = Some(0);
+        world.cameras.parameters.loss_windows.push(LossWindow {
             start_us: now_us,
             end_us: now_us + duration_us,
         });
@@ -272,23 +246,13 @@ impl Laboratory {
         fault::set(&mut self.drive.world, name, value)
     }
 
-    /// Presses the board's reset button.
-    pub fn press_reset(&mut self) {
-        self.drive.world.press_reset();
-    }
-
     /// Puts the car down elsewhere, at rest.
     ///
     /// # Errors
     ///
     /// A number is not finite, or too large for a floor.
     pub fn place(&mut self, pose: StartPose) -> Result<(), SetupError> {
-        if ![pose.x_m, pose.y_m, pose.yaw_rad]
-            .into_iter()
-            .all(setup::in_hall)
-        {
-            return Err(SetupError::new("this is not a place on a floor"));
-        }
+        setup::check_place("this", &pose)?;
         self.drive.world.car.place(pose);
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! The configuration of a simulated car from a few keys: what is believed of it and what is true.
 
+use serde::de::DeserializeOwned;
 use singletrack_core::config::{Config, ReferenceSection};
 use singletrack_sim::{CarTruth, SimulationConfig, StartPose};
 use toml::{Table, Value};
@@ -88,12 +89,7 @@ impl Setup {
         start: StartPose,
         drawn: &[(&TruthRange, f64)],
     ) -> Result<SimulationConfig, SetupError> {
-        if ![start.x_m, start.y_m, start.yaw_rad]
-            .into_iter()
-            .all(in_hall)
-        {
-            return Err(SetupError::new("the start is not a place on a floor"));
-        }
+        check_place("the start", &start)?;
         let mut simulation = self.simulation.clone();
         simulation.seed = seed;
         simulation.car.start = start;
@@ -126,16 +122,27 @@ pub(super) fn in_hall(value: f64) -> bool {
     value.abs() <= 1e4
 }
 
+/// Refuses a place that no car has.
+pub(super) fn check_place(what: &str, place: &StartPose) -> Result<(), SetupError> {
+    match [place.x_m, place.y_m, place.yaw_rad]
+        .into_iter()
+        .all(in_hall)
+    {
+        true => Ok(()),
+        false => Err(SetupError::new(format!("{what} is not a place on a floor"))),
+    }
+}
+
 /// The section of a reference, from its TOML text.
 ///
 /// # Errors
 ///
 /// The text is no reference.
 pub fn reference(text: &str) -> Result<ReferenceSection, SetupError> {
-    toml::from_str(text).map_err(|error| SetupError::new(format!("reference: {error}")))
+    parse("reference", text)
 }
 
-fn parse(what: &str, text: &str) -> Result<Table, SetupError> {
+fn parse<T: DeserializeOwned>(what: &str, text: &str) -> Result<T, SetupError> {
     toml::from_str(text).map_err(|error| SetupError::new(format!("{what}: {error}")))
 }
 

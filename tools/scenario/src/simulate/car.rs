@@ -12,43 +12,24 @@ use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, Truth, World};
 
 use super::{
-    Operator, OperatorSection, Simulation,
+    Operator, OperatorSection, SimulateError, Simulation,
     scenario::{Scenario, ScenarioError, SteeringHold},
-    summary::{CalibrationLine, ROWS_PER_SECOND, Row, Summary, Tally, drives},
+    summary::{CalibrationLine, ROWS_PER_SECOND, Row, Summary, Tally, drives, row_time},
 };
 use crate::{
     laboratory::Laboratory,
     tracking::TrackingError,
     virtual_drive::{READY_TIMEOUT, VirtualDrive, VirtualDriveError, VirtualTick},
-    virtual_record::VirtualRecordError,
 };
-
-/// Why a scenario failed on the simulated car.
-#[derive(Debug, thiserror::Error)]
-pub enum CarError {
-    /// The scenario can't be driven.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// The drive did not start.
-    #[error(transparent)]
-    Drive(#[from] VirtualDriveError),
-    /// The record could not be written.
-    #[error(transparent)]
-    Record(#[from] VirtualRecordError),
-}
-
-impl From<ConfigError> for CarError {
-    fn from(error: ConfigError) -> Self {
-        ScenarioError::from(error).into()
-    }
-}
 
 /// The configurations of the daemon and of the simulation for a scenario.
 ///
 /// # Errors
 ///
 /// A scenario that only the ideal plant can run.
-pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationConfig), CarError> {
+pub fn virtual_drive_config(
+    scenario: &Scenario,
+) -> Result<(Config, SimulationConfig), SimulateError> {
     if scenario.law.kind != LawKind::FrontPoint {
         return Err(ScenarioError::value(
             "law.kind",
@@ -82,7 +63,7 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationCo
 pub fn drive_entries(
     scenario: &Scenario,
     take: &mut impl FnMut(&Entry),
-) -> Result<Config, CarError> {
+) -> Result<Config, SimulateError> {
     let (daemon, simulation) = virtual_drive_config(scenario)?;
     let mut drive = VirtualDrive::new(daemon.clone(), scenario.run.seed, simulation)?;
     drive.keep_entries();
@@ -126,7 +107,7 @@ pub fn simulate_configured(
     daemon: &Config,
     simulation: &SimulationConfig,
     options: RunOptions<'_>,
-) -> Result<Simulation, CarError> {
+) -> Result<Simulation, SimulateError> {
     let mut run = ScenarioRun::begin(scenario, daemon, simulation, options)?;
     let mut rows = Vec::new();
     while !run.is_complete() {
@@ -189,7 +170,7 @@ impl ScenarioRun {
         daemon: &Config,
         simulation: &SimulationConfig,
         options: RunOptions<'_>,
-    ) -> Result<Self, CarError> {
+    ) -> Result<Self, SimulateError> {
         let period_us = daemon.control.period_ns() / 1_000;
         let under_way = simulation.cameras.latency_us.div_ceil(period_us);
         for loss in &scenario.marker_loss {
@@ -207,8 +188,8 @@ impl ScenarioRun {
         if arms {
             match run.start() {
                 Ok(()) => return Ok(run),
-                Err(CarError::Drive(VirtualDriveError::NotStarted { .. })) if run.takes_any_end => {
-                }
+                Err(SimulateError::Drive(VirtualDriveError::NotStarted { .. }))
+                    if run.takes_any_end => {}
                 Err(error) => return Err(error),
             }
             if let Some(path) = options.record {
@@ -227,16 +208,14 @@ impl ScenarioRun {
         daemon: &Config,
         simulation: &SimulationConfig,
         options: RunOptions<'_>,
-    ) -> Result<Self, CarError> {
+    ) -> Result<Self, SimulateError> {
         let mut laboratory =
             Laboratory::new(daemon.clone(), scenario.run.seed, simulation.clone())?;
         if options.digest {
             laboratory.keep_digest();
         }
-        match options.record {
-            Some(path) => laboratory.record(path)?,
-            None if options.in_memory => laboratory.record_in_memory()?,
-            None => {}
+        if options.record.is_some() || options.in_memory {
+            laboratory.record(options.record)?;
         }
         // Until the car drives, nothing timed happens to it.
         let world = &mut laboratory.drive.world;
@@ -271,7 +250,7 @@ impl ScenarioRun {
     }
 
     /// Goes on to the first driving tick.
-    fn start(&mut self) -> Result<(), CarError> {
+    fn start(&mut self) -> Result<(), SimulateError> {
         while self.laboratory.drive.next_tick_us() < self.connected_us {
             self.laboratory.step()?;
         }
@@ -312,10 +291,14 @@ impl ScenarioRun {
             for first_tick in beginnings.take_while(|tick| *tick <= last_tick) {
                 // A tick is lost when no frame arrives in the period before it.
                 let first_us = self.start_us + (first_tick - 1) * period_us - self.latency_us;
-                self.world().cameras.add_loss_window(LossWindow {
-                    start_us: first_us,
-                    end_us: first_us + loss.ticks * period_us,
-                });
+                self.world()
+                    .cameras
+                    .parameters
+                    .loss_windows
+                    .push(LossWindow {
+                        start_us: first_us,
+                        end_us: first_us + loss.ticks * period_us,
+                    });
             }
         }
     }
@@ -343,7 +326,7 @@ impl ScenarioRun {
         }
     }
 
-    fn step(&mut self) -> Result<(), CarError> {
+    fn step(&mut self) -> Result<(), SimulateError> {
         let next_us = self.laboratory.drive.next_tick_us();
         if self.connected_us > 0 && next_us >= self.connected_us {
             self.connected_us = 0;
@@ -368,11 +351,8 @@ impl ScenarioRun {
     /// Whether the run has reached its end. It can go on beyond, without rows.
     pub fn is_complete(&self) -> bool {
         let next_s = || self.time(self.laboratory.drive.next_tick_us());
-        self.next_row > self.last_row() && (!self.takes_any_end || next_s() > self.until_s())
-    }
-
-    fn last_row(&self) -> u64 {
-        (self.scenario.run.duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64
+        self.next_row > self.scenario.run.last_row()
+            && (!self.takes_any_end || next_s() > self.until_s())
     }
 
     /// Until when a run goes on whose drive may end at any time, in s.
@@ -388,8 +368,8 @@ impl ScenarioRun {
     /// # Errors
     ///
     /// The record can't be written, or the operator's request is refused.
-    pub fn advance(&mut self) -> Result<Progress, CarError> {
-        if self.next_row > self.last_row() {
+    pub fn advance(&mut self) -> Result<Progress, SimulateError> {
+        if self.next_row > self.scenario.run.last_row() {
             self.step()?;
             return Ok(Progress::Tick);
         }
@@ -398,7 +378,7 @@ impl ScenarioRun {
             self.step()?;
             return Ok(Progress::Tick);
         }
-        let time = self.next_row as f64 / ROWS_PER_SECOND as f64;
+        let time = row_time(self.next_row);
         self.next_row += 1;
         let Some(last) = self.laboratory.last() else {
             // Before the first tick.
@@ -407,7 +387,7 @@ impl ScenarioRun {
         let truth = if row_us == last.now.0 / 1_000 {
             last.truth
         } else {
-            self.laboratory.truth()
+            self.laboratory.drive.world.truth()
         };
         let output = &last.tick.output;
         let row = self.row(time, &truth, last);
@@ -428,7 +408,7 @@ impl ScenarioRun {
     /// # Errors
     ///
     /// The record can't be written.
-    pub fn finish(mut self, rows: Vec<Row>) -> Result<Simulation, CarError> {
+    pub fn finish(mut self, rows: Vec<Row>) -> Result<Simulation, SimulateError> {
         self.laboratory.finish()?;
         let mut notes = Vec::new();
         let control = &self.scenario.control;

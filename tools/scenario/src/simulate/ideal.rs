@@ -7,33 +7,13 @@ use singletrack_control::{
     direction, front_point, velocity_point,
 };
 use singletrack_core::config::LawKind;
-use singletrack_sim::integrator::{IntegrationError, Integrator};
+use singletrack_sim::integrator::Integrator;
 
 use super::{
+    SimulateError,
     scenario::{Scenario, ScenarioError, SteeringHold},
-    summary::{ROWS_PER_SECOND, Row},
+    summary::{Row, row_time},
 };
-
-/// Why an ideal simulation stopped.
-#[derive(Debug, thiserror::Error)]
-pub enum IdealError {
-    /// The scenario can't be simulated.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// The law has no solution.
-    #[error("at t = {time} s: {source}")]
-    Law {
-        /// When, in s.
-        time: f64,
-        /// Why.
-        source: Singularity,
-    },
-    /// The equations have no solution.
-    #[error(
-        "{0}; the paper's model needs a car that moves forward, use plant kind \"car\" for one that stops"
-    )]
-    Integration(#[from] IntegrationError),
-}
 
 /// x, y, yaw, yaw rate, sideslip, steering.
 type Vector = [f64; 6];
@@ -43,7 +23,7 @@ type Vector = [f64; 6];
 /// # Errors
 ///
 /// The scenario can't be run, or meets a singularity; the error has its time.
-pub(super) fn simulate(scenario: &Scenario) -> Result<Vec<Row>, IdealError> {
+pub(super) fn simulate(scenario: &Scenario) -> Result<Vec<Row>, SimulateError> {
     let simulation = Simulation::new(scenario)?;
     if scenario.control.period_ms == 0 {
         simulation.continuous()
@@ -154,12 +134,12 @@ impl<'a> Simulation<'a> {
     }
 
     /// The law evaluated inside the right-hand side.
-    fn continuous(&self) -> Result<Vec<Row>, IdealError> {
+    fn continuous(&self) -> Result<Vec<Row>, SimulateError> {
         let mut rows = Vec::new();
         let mut vector = self.initial;
         let mut integrator = Integrator::new();
         let mut time = 0.0;
-        for index in 0..=self.last_row() {
+        for index in 0..=self.scenario.run.last_row() {
             let end = row_time(index);
             while time < end {
                 let stop = self
@@ -179,7 +159,7 @@ impl<'a> Simulation<'a> {
                         },
                     );
                     let (_, command) = self.decide(t, vector, &reference)?;
-                    Ok::<_, IdealError>(self.slope(vector, &command))
+                    Ok::<_, SimulateError>(self.slope(vector, &command))
                 })?;
                 time = stop;
             }
@@ -197,7 +177,7 @@ impl<'a> Simulation<'a> {
     }
 
     /// The law evaluated at ticks, acting after a delay.
-    fn sampled(&self) -> Result<Vec<Row>, IdealError> {
+    fn sampled(&self) -> Result<Vec<Row>, SimulateError> {
         let control = &self.scenario.control;
         let period = f64::from(control.period_ms) / 1000.0;
         let tick_time = |tick: u64| (tick * u64::from(control.period_ms)) as f64 / 1000.0;
@@ -209,7 +189,8 @@ impl<'a> Simulation<'a> {
         let mut next_row = 0;
         let mut measured = split(&vector).0;
         let mut waiting = std::collections::VecDeque::with_capacity(delay + 1);
-        let mut acting = Acting::default();
+        // Speed and steering rate that act on the plant.
+        let (mut speed, mut acting_rate) = (0.0, 0.0);
         let mut tracking = self.tracking.clone();
         let mut applied = Velocity::zeros();
 
@@ -226,7 +207,7 @@ impl<'a> Simulation<'a> {
             } else {
                 state
             };
-            let at = |source| IdealError::Law {
+            let at = |source| SimulateError::Law {
                 time: begin,
                 source,
             };
@@ -243,39 +224,37 @@ impl<'a> Simulation<'a> {
                 .command(&measured, steering, &velocity)
                 .map_err(at)?;
             if tick == 0 {
-                acting.speed = command.speed;
+                speed = command.speed;
             }
             waiting.push_back(command);
             if waiting.len() > delay
                 && let Some(command) = waiting.pop_front()
             {
-                acting = Acting {
-                    speed: command.speed,
-                    rate: match command.steering {
-                        SteeringCommand::Rate(rate) => rate,
-                        SteeringCommand::Angle(angle) => (angle - steering) / period,
-                    },
+                speed = command.speed;
+                acting_rate = match command.steering {
+                    SteeringCommand::Rate(rate) => rate,
+                    SteeringCommand::Angle(angle) => (angle - steering) / period,
                 };
             }
 
             // Rows at this tick show the steering before it jumps.
-            let last = self.last_row();
+            let last = self.scenario.run.last_row();
             if next_row <= last && row_time(next_row) <= begin {
-                rows.push(self.row(begin, &vector, acting.speed, acting.rate, &velocity));
+                rows.push(self.row(begin, &vector, speed, acting_rate, &velocity));
                 next_row += 1;
             }
             if next_row > last {
                 break;
             }
             let rate = match control.steering {
-                SteeringHold::Ramp => acting.rate,
+                SteeringHold::Ramp => acting_rate,
                 SteeringHold::Step => {
-                    vector[5] += period * acting.rate;
+                    vector[5] += period * acting_rate;
                     0.0
                 }
             };
             let command = Command {
-                speed: acting.speed,
+                speed,
                 steering: SteeringCommand::Rate(rate),
             };
             let mut time = begin;
@@ -287,11 +266,11 @@ impl<'a> Simulation<'a> {
                     end
                 };
                 integrator.advance(&mut vector, time, stop, |_, vector| {
-                    Ok::<_, IdealError>(self.slope(vector, &command))
+                    Ok::<_, SimulateError>(self.slope(vector, &command))
                 })?;
                 time = stop;
                 if next_row <= last && row_due < end && time >= row_due {
-                    rows.push(self.row(time, &vector, acting.speed, acting.rate, &velocity));
+                    rows.push(self.row(time, &vector, speed, acting_rate, &velocity));
                     next_row += 1;
                 }
             }
@@ -305,7 +284,7 @@ impl<'a> Simulation<'a> {
         time: f64,
         vector: &Vector,
         reference: &ReferencePoint,
-    ) -> Result<(Velocity, Command), IdealError> {
+    ) -> Result<(Velocity, Command), SimulateError> {
         let (state, steering) = split(vector);
         let velocity = self
             .tracking
@@ -315,7 +294,7 @@ impl<'a> Simulation<'a> {
         let command = self
             .law
             .command(&state, steering, &velocity)
-            .map_err(|source| IdealError::Law { time, source })?;
+            .map_err(|source| SimulateError::Law { time, source })?;
         Ok((velocity, command))
     }
 
@@ -393,22 +372,6 @@ impl<'a> Simulation<'a> {
             _ => reference,
         }
     }
-
-    /// The index of the last row: the duration need not be a multiple of the interval.
-    fn last_row(&self) -> u64 {
-        (self.scenario.run.duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64
-    }
-}
-
-/// The pair that acts on the plant.
-#[derive(Clone, Copy, Default)]
-struct Acting {
-    speed: f64,
-    rate: f64,
-}
-
-fn row_time(index: u64) -> f64 {
-    index as f64 / ROWS_PER_SECOND as f64
 }
 
 fn split(vector: &Vector) -> (SingleTrackState, f64) {

@@ -7,19 +7,21 @@ mod summary;
 
 use std::{fmt, path::Path};
 
-use singletrack_control::{CalibrationEstimate, Velocity};
-use singletrack_core::config::TuningRule;
+use singletrack_control::{CalibrationEstimate, Singularity, Velocity};
+use singletrack_core::config::{ConfigError, TuningRule};
 use singletrack_pilot::{Arming, PilotRequest, Tuning};
 use singletrack_record::Digest;
 use singletrack_settings::{check, section};
 
-use crate::{tracking::TrackingError, virtual_drive::VirtualDrive};
+use crate::{
+    tracking::TrackingError,
+    virtual_drive::{VirtualDrive, VirtualDriveError},
+    virtual_record::VirtualRecordError,
+};
 
 pub use car::{
-    CarError, Progress, RunOptions, ScenarioRun, drive_entries, simulate_configured,
-    virtual_drive_config,
+    Progress, RunOptions, ScenarioRun, drive_entries, simulate_configured, virtual_drive_config,
 };
-pub use ideal::IdealError;
 pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, ScenarioError,
     StartSection, SteeringHold,
@@ -33,21 +35,37 @@ const MOMENT: core::ops::RangeInclusive<f64> = 0.0..=86_400.0;
 /// Why a simulation stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
-    /// On the ideal plant.
+    /// The scenario can't be simulated.
     #[error(transparent)]
-    Ideal(#[from] IdealError),
-    /// On the car.
+    Scenario(#[from] ScenarioError),
+    /// On the ideal plant, the law has no solution.
+    #[error("at t = {time} s: {source}")]
+    Law {
+        /// When, in s.
+        time: f64,
+        /// Why.
+        source: Singularity,
+    },
+    /// The equations of the ideal plant have no solution.
+    #[error(
+        "{0}; the paper's model needs a car that moves forward, use plant kind \"car\" for one that stops"
+    )]
+    Integration(#[from] IntegrationError),
+    /// The car can't be simulated, or did not start.
     #[error(transparent)]
-    Car(#[from] CarError),
-    /// The ideal plant has no pilot to record.
-    #[error("there is nothing to record: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
-    NoPilot,
-    /// The ideal plant has no pilot whose outputs could be compared.
-    #[error("there is no digest: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
-    NoDigest,
-    /// The ideal plant has no pilot whose drive could be summed up.
-    #[error("there is no summary: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
-    NoSummary,
+    Drive(#[from] VirtualDriveError),
+    /// The record could not be written.
+    #[error(transparent)]
+    Record(#[from] VirtualRecordError),
+    /// The ideal plant has no pilot from which this could come.
+    #[error("there is {0}: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
+    NoPilot(&'static str),
+}
+
+impl From<ConfigError> for SimulateError {
+    fn from(error: ConfigError) -> Self {
+        ScenarioError::from(error).into()
+    }
 }
 
 impl fmt::Display for Simulation {
@@ -97,9 +115,11 @@ pub fn simulate_with(
     options: RunOptions<'_>,
 ) -> Result<Simulation, SimulateError> {
     match scenario.plant.kind {
-        PlantKind::Ideal if options.record.is_some() => Err(SimulateError::NoPilot),
-        PlantKind::Ideal if options.summary => Err(SimulateError::NoSummary),
-        PlantKind::Ideal if options.digest => Err(SimulateError::NoDigest),
+        PlantKind::Ideal if options.record.is_some() => {
+            Err(SimulateError::NoPilot("nothing to record"))
+        }
+        PlantKind::Ideal if options.summary => Err(SimulateError::NoPilot("no summary")),
+        PlantKind::Ideal if options.digest => Err(SimulateError::NoPilot("no digest")),
         PlantKind::Ideal => {
             let rows = ideal::simulate(scenario)?;
             let distances: Vec<_> = rows.iter().map(Row::distance_from_reference).collect();
@@ -114,12 +134,7 @@ pub fn simulate_with(
         }
         PlantKind::Car => {
             let (daemon, simulation) = virtual_drive_config(scenario)?;
-            Ok(simulate_configured(
-                scenario,
-                &daemon,
-                &simulation,
-                options,
-            )?)
+            simulate_configured(scenario, &daemon, &simulation, options)
         }
     }
 }
@@ -168,7 +183,7 @@ impl TuneSection {
         let at_s = self.at_s;
         check("tune.at_s", &at_s, &MOMENT)?;
         rule.check(&self.tuning(), None)
-            .map_err(|source| ScenarioError::Tune { at_s, source })
+            .map_err(|error| ScenarioError::tune(at_s, &error))
     }
 }
 
@@ -264,7 +279,7 @@ impl Operator {
                 Action::Ask(request) => drive.request(request).map_err(|_| busy())?,
                 Action::Tune(tuning) => drive
                     .tune(tuning)
-                    .map_err(|source| ScenarioError::Tune { at_s, source })?,
+                    .map_err(|error| ScenarioError::tune(at_s, &error))?,
                 Action::Connect(connected) => {
                     self.has_unplugged = !connected;
                     drive.world.set_cable(connected);

@@ -1,6 +1,6 @@
 //! Scenario files: why one is refused, and how one is laid over another.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use singletrack_control::{LawError, Limits, Reference, TrackingLoop, VehicleParameters};
@@ -13,7 +13,7 @@ use singletrack_settings::{
 use singletrack_sim::{BoardKind, CarTruth, SimulationConfig};
 use toml::{Table, Value};
 
-use super::{MOMENT, OperatorSection, TuneSection};
+use super::{MOMENT, OperatorSection, TuneSection, summary::ROWS_PER_SECOND};
 use crate::simulated::{self, daemon_config, follow, merge, start_of};
 
 /// A scenario; unknown keys are refused.
@@ -191,6 +191,13 @@ section! {
     repeat_ticks: u64 = 0, in TICKS;
 }
 
+impl RunSection {
+    /// The index of the last row: the duration need not be a multiple of the interval.
+    pub(super) fn last_row(&self) -> u64 {
+        (self.duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64
+    }
+}
+
 impl MarkerLoss {
     /// The tick at which it begins for the `index`-th time, from 0 on.
     pub(super) fn beginning(&self, index: u64) -> Option<u64> {
@@ -240,9 +247,8 @@ impl Scenario {
     ///
     /// The scenario is invalid; the error names the key.
     pub fn read(path: &Path) -> Result<Self, ScenarioError> {
-        let text = std::fs::read_to_string(path).map_err(|source| ScenarioError::Read {
-            path: path.to_owned(),
-            source,
+        let text = std::fs::read_to_string(path).map_err(|error| {
+            ScenarioError::Text(format!("can't read {}: {error}", path.display()))
         })?;
         Self::from_toml(&text, path)
     }
@@ -254,9 +260,8 @@ impl Scenario {
     ///
     /// The scenario is invalid; the error names the key.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, ScenarioError> {
-        let mut scenario: Self = toml::from_str(text).map_err(|error| ScenarioError::Parse {
-            path: path.to_owned(),
-            message: explain(text, &error),
+        let mut scenario: Self = toml::from_str(text).map_err(|error| {
+            ScenarioError::Text(format!("{}: {}", path.display(), explain(text, &error)))
         })?;
         if let Some(folder) = path.parent() {
             scenario.reference.resolve(folder);
@@ -348,13 +353,10 @@ impl Scenario {
             ));
         }
         if let Some((key, _)) = self.control.daemon.iter().next() {
-            return Err(ScenarioError::Layer {
-                section: "control",
-                message: format!(
-                    "unknown field `{key}`: plant kind \"ideal\" takes `period_ms`, \
-                     `align_to_cameras`, `delay_ticks` and `steering`"
-                ),
-            });
+            return Err(ScenarioError::Text(format!(
+                "[control] unknown field `{key}`: plant kind \"ideal\" takes `period_ms`, \
+                 `align_to_cameras`, `delay_ticks` and `steering`"
+            )));
         }
         Ok(())
     }
@@ -483,10 +485,8 @@ fn layer<T: Serialize + DeserializeOwned>(
     let Some(written) = written.filter(|written| !written.is_empty()) else {
         return Ok(());
     };
-    let error = |message: String| ScenarioError::Layer {
-        section,
-        message: message.trim_end().to_owned(),
-    };
+    let error =
+        |message: String| ScenarioError::Text(format!("[{section}] {}", message.trim_end()));
     let mut table = Table::try_from(&*base).map_err(|cause| error(cause.to_string()))?;
     merge(&mut table, written);
     *base = table
@@ -498,22 +498,10 @@ fn layer<T: Serialize + DeserializeOwned>(
 /// A scenario that can't be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
-    /// The file can't be read.
-    #[error("can't read {}: {source}", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The file is not a scenario.
-    #[error("{}: {message}", .path.display())]
-    Parse {
-        /// The file.
-        path: PathBuf,
-        /// Where and why.
-        message: String,
-    },
+    /// The file can't be read or is no scenario, a section of the daemon's configuration can't be
+    /// read, or the daemon refuses a tuning.
+    #[error("{0}")]
+    Text(String),
     /// A section of the daemon's configuration is invalid.
     #[error(transparent)]
     Section(#[from] ConfigError),
@@ -523,25 +511,9 @@ pub enum ScenarioError {
     /// The vehicle is invalid.
     #[error("[vehicle] {0}")]
     Vehicle(#[from] singletrack_control::VehicleParameterError),
-    /// A section of the daemon's configuration can't be read.
-    #[error("[{section}] {message}")]
-    Layer {
-        /// The section.
-        section: &'static str,
-        /// Why.
-        message: String,
-    },
     /// The truth of the car can't be simulated.
     #[error(transparent)]
     Truth(#[from] singletrack_sim::ConfigError),
-    /// A tuning that the daemon refuses.
-    #[error("[[tune]] at_s = {at_s}: {source}")]
-    Tune {
-        /// When, s.
-        at_s: f64,
-        /// Why.
-        source: TuningError,
-    },
     /// A value is outside its range.
     #[error(transparent)]
     Value(#[from] ValueError),
@@ -554,5 +526,9 @@ impl ScenarioError {
         fix: &'static str,
     ) -> Self {
         ValueError::new(key, value, fix).into()
+    }
+
+    pub(super) fn tune(at_s: f64, error: &TuningError) -> Self {
+        Self::Text(format!("[[tune]] at_s = {at_s}: {error}"))
     }
 }

@@ -200,6 +200,11 @@ impl Tally {
 /// Rows per second.
 pub(crate) const ROWS_PER_SECOND: u64 = 20;
 
+/// Time of a row, in s.
+pub(super) const fn row_time(index: u64) -> f64 {
+    index as f64 / ROWS_PER_SECOND as f64
+}
+
 /// The state before a tick's command, and the command that acts from then on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Row {

@@ -95,8 +95,8 @@ impl CalibratedCar {
             return Ok(outcome);
         };
         let cameras = &mut drive.world.cameras;
-        cameras.set_loss_epoch(Some(start.0 / 1_000));
-        cameras.set_loss(self.loss);
+        cameras.loss_epoch_us = Some(start.0 / 1_000);
+        cameras.parameters.loss = self.loss;
         let mut disarmed = false;
         for number in 0_u64.. {
             self.send(&drive, number, outcome.seconds);
@@ -122,7 +122,7 @@ impl CalibratedCar {
             if !disarmed && outcome.seconds >= DRIVEN_S {
                 drive.request(PilotRequest::Disarm)?;
                 disarmed = true;
-                drive.world.cameras.set_loss(None);
+                drive.world.cameras.parameters.loss = None;
                 // The tick of the request still drives.
                 self.send(&drive, 0, outcome.seconds);
                 drive.step();

@@ -4,7 +4,7 @@ use singletrack_control::{Estimate, wrap};
 use singletrack_core::config::MarkerLoss;
 use singletrack_pilot::Mode;
 use singletrack_scenario::{
-    simulate::{CarError, Scenario, virtual_drive_config},
+    simulate::{Scenario, SimulateError, virtual_drive_config},
     virtual_drive::VirtualDrive,
 };
 use singletrack_sim::{LossPattern, Truth};
@@ -51,7 +51,7 @@ pub(crate) fn study(
     scenario: &Scenario,
     loss: Option<LossPattern>,
     marker_loss: MarkerLoss,
-) -> Result<EstimationStudy, CarError> {
+) -> Result<EstimationStudy, SimulateError> {
     let (mut config, simulation) = virtual_drive_config(scenario)?;
     config.estimator.marker_loss = marker_loss;
     if let Some(loss) = loss {
@@ -64,8 +64,8 @@ pub(crate) fn study(
     let first = drive.start()?;
     let epoch_us = first.now.0 / 1000;
     let cameras = &mut drive.world.cameras;
-    cameras.set_loss(loss);
-    cameras.set_loss_epoch(Some(epoch_us));
+    cameras.parameters.loss = loss;
+    cameras.loss_epoch_us = Some(epoch_us);
 
     let mut sum = Sum::default();
     loop {

@@ -12,14 +12,14 @@ use std::{
 };
 
 use mcap::{
-    Attachment, McapError,
+    Attachment,
     records::{MessageHeader, Metadata, Record, op},
 };
 use scan::{Found, Scan};
 
 use super::{
     RecordError,
-    chunk::{Chunk, ChunkError, is_data_part, parse_record},
+    chunk::{Chunk, is_data_part, parse_record},
     metadata::{CONFIGURATION_NAME, METADATA_NAME},
     recorder::{Container, LIBRARY, LIBRARY_NAME, PROFILE, failure, with_suffix},
 };
@@ -268,18 +268,6 @@ enum NotCopied {
     Failed(RecordError),
 }
 
-impl From<McapError> for NotCopied {
-    fn from(_: McapError) -> Self {
-        Self::Damaged
-    }
-}
-
-impl From<ChunkError> for NotCopied {
-    fn from(_: ChunkError) -> Self {
-        Self::Damaged
-    }
-}
-
 impl From<RecordError> for NotCopied {
     fn from(error: RecordError) -> Self {
         Self::Failed(error)
@@ -341,24 +329,24 @@ impl Salvage {
                 self.recovery.complete = true;
                 Ok(())
             }
-            _ => self.record(&parse_record(opcode, content)?),
+            _ => self.record(opcode, content),
         }
     }
 
     /// Copies the records of a chunk, once its checksum has been verified.
     fn chunk(&mut self, chunk: &mut Chunk, content: &[u8]) -> Result<(), NotCopied> {
-        chunk.open_part(content)?;
+        chunk.open_part(content).or(Err(NotCopied::Damaged))?;
         while let Some(record) = chunk.next() {
-            let (opcode, data) = record?;
-            self.record(&parse_record(opcode, data)?)?;
+            let (opcode, data) = record.or(Err(NotCopied::Damaged))?;
+            self.record(opcode, data)?;
         }
         // The messages of a chunk stay in one chunk.
         self.container.end_chunk()?;
         Ok(())
     }
 
-    fn record(&mut self, record: &Record<'_>) -> Result<(), NotCopied> {
-        match record {
+    fn record(&mut self, opcode: u8, content: &[u8]) -> Result<(), NotCopied> {
+        match &parse_record(opcode, content).or(Err(NotCopied::Damaged))? {
             Record::Metadata(metadata) => {
                 self.recovery.has_metadata |= metadata.name == METADATA_NAME;
                 self.container

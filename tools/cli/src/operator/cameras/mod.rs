@@ -19,7 +19,7 @@ use singletrack_core::{
     config::{Config, MotionCaptureSection, ServerKind, TransportKind, UpAxis},
 };
 use singletrack_figures::output;
-use singletrack_mocap::{Input, Phase, PoseSource as _, SessionEvent, Source};
+use singletrack_mocap::{Input, Phase, SessionEvent, Source};
 use singletrackd::{MocapSockets, monotonic_ns};
 
 use crate::{arguments::parse_duration, help::printable, progress::progress_bar};

@@ -5,6 +5,7 @@ mod histogram;
 mod time;
 
 use clap::ValueEnum;
+use singletrack_control::words;
 
 use super::drive::Drive;
 use crate::figure::Figure;
@@ -12,54 +13,38 @@ use crate::figure::Figure;
 /// What the shading of every figure means.
 const LOST: &str = "markers lost";
 
-/// A figure of a drive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum FigureKind {
-    /// Nominal and actual path of P.
-    Trajectory,
-    /// x and y of P over time.
-    Position,
-    /// The velocity commanded of P.
-    CommandedVelocity,
-    /// The steering angle that the law asks for.
-    Steering,
-    /// The speed that the law asks for, and the car's.
-    Speed,
-    /// Sideslip angle and yaw rate.
-    SideslipYawRate,
-    /// Distance of P from where it should be.
-    TrackingError,
-    /// From mid-exposure to the command that rests on it.
-    Latency,
-    /// How late ticks began.
-    Lateness,
+words! {
+    /// A figure of a drive, with its name on the command line and of its file; in the order of a
+    /// report.
+    #[derive(ValueEnum)]
+    pub enum FigureKind {
+        /// Nominal and actual path of P.
+        Trajectory = "trajectory",
+        /// Distance of P from where it should be.
+        TrackingError = "tracking-error",
+        /// x and y of P over time.
+        Position = "position",
+        /// The velocity commanded of P.
+        CommandedVelocity = "commanded-velocity",
+        /// The steering angle that the law asks for.
+        Steering = "steering",
+        /// The speed that the law asks for, and the car's.
+        Speed = "speed",
+        /// Sideslip angle and yaw rate.
+        SideslipYawRate = "sideslip-yaw-rate",
+        /// From mid-exposure to the command that rests on it.
+        Latency = "latency",
+        /// How late ticks began.
+        Lateness = "lateness",
+    }
 }
 
 impl FigureKind {
-    /// All of them, in the order of a report.
-    pub const ALL: [Self; 9] = [
-        Self::Trajectory,
-        Self::TrackingError,
-        Self::Position,
-        Self::CommandedVelocity,
-        Self::Steering,
-        Self::Speed,
-        Self::SideslipYawRate,
-        Self::Latency,
-        Self::Lateness,
-    ];
-
     /// The figures of a drive: all, without the lateness if it is always zero.
     pub fn of(drive: &Drive) -> impl Iterator<Item = Self> {
         let is_never_late = drive.is_never_late();
         let has = move |kind: &Self| *kind != Self::Lateness || !is_never_late;
         Self::ALL.into_iter().filter(has)
-    }
-
-    /// Its name, on the command line and of its file.
-    pub fn name(self) -> String {
-        let value = self.to_possible_value();
-        value.map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
     /// The name of its file.

@@ -49,6 +49,11 @@ fn true_curve(drive: &Drive, values: Column) -> Curve {
     Curve::new("true", Look::Truth, &time, values)
 }
 
+/// A part of a caption that is not always true.
+const fn only_if(is_so: bool, part: &str) -> &str {
+    if is_so { part } else { "" }
+}
+
 pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
     let panel = |below, axis: usize| {
         let y = Axis::new("velocity", Some(Symbol::new("v", below)), "m/s");
@@ -95,11 +100,10 @@ pub(super) fn speed(drive: &Drive) -> Figure {
         format!(
             "The speed of the centre of mass that the law asks for, after limits, and the car's: \
              as estimated{}.",
-            if drive.board.is_empty() {
-                ""
-            } else {
+            only_if(
+                !drive.board.is_empty(),
                 ", and of the rear axle as the motor's pulses measure it"
-            }
+            )
         ),
         vec![over_time(drive, y, curves)],
     )
@@ -127,12 +131,11 @@ pub(super) fn position(drive: &Drive) -> Figure {
             } else {
                 "Where P would be if it integrated its commanded velocity"
             },
-            if drive.lost_markers().is_empty() {
-                ""
-            } else {
+            only_if(
+                !drive.lost_markers().is_empty(),
                 "; while the markers are lost the last pose is held and the curves stay level \
                  though the car moves"
-            }
+            )
         ),
         vec![panel("x", 0), panel("y", 1)],
     )
@@ -160,11 +163,7 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
         format!(
             "The estimated angle from the car's axis to the velocity of its centre of mass, and \
              its yaw rate{}; left is positive.",
-            if has_gyro {
-                " over the gyro's samples"
-            } else {
-                ""
-            }
+            only_if(has_gyro, " over the gyro's samples")
         ),
         panels,
     )
@@ -184,37 +183,29 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
         include: (!is_wide).then_some(0.0),
         ..Axis::new("tracking error", Some(Symbol::new("e", "P")), "mm")
     };
-    let mut is_cut = false;
-    let mut mm = |errors: Vec<f64>| -> Vec<f64> {
-        let mm = errors.into_iter().map(|error| error * 1000.0);
-        // A comparison keeps the gaps, which `max` fills.
-        mm.map(|error| {
-            let is_below = error < LEAST_ERROR;
-            is_cut |= is_below;
-            if is_below { LEAST_ERROR } else { error }
-        })
-        .collect()
+    let is_below = |error: f64| error * 1000.0 < LEAST_ERROR;
+    let is_cut = errors.iter().any(|error| is_below(*error));
+    // A comparison keeps the gaps, which `max` fills.
+    let mm = |error: f64| {
+        if is_below(error) {
+            LEAST_ERROR
+        } else {
+            error * 1000.0
+        }
     };
     let time = drive.column(|tick| tick.time);
-    let error = drive.spread(mm(drive.tracking_error()));
+    let error = drive.spread(drive.tracking_error().into_iter().map(mm));
+    let true_error = drive.spread_truth(drive.true_errors().into_iter().map(mm));
     let curves = vec![
         Curve::new("estimated", Look::Actual, &time, error),
-        true_curve(drive, drive.spread_truth(mm(drive.true_errors()))),
+        true_curve(drive, true_error),
     ];
     Figure::column(
         "Tracking error of P",
         format!(
             "Distance from P to where it should be at that moment{}{}.",
-            if is_wide {
-                ", on a logarithmic axis"
-            } else {
-                ""
-            },
-            if is_cut && is_wide {
-                "; what is below 0.1 mm is drawn there"
-            } else {
-                ""
-            }
+            only_if(is_wide, ", on a logarithmic axis"),
+            only_if(is_cut && is_wide, "; what is below 0.1 mm is drawn there")
         ),
         vec![over_time(drive, y, curves)],
     )

@@ -9,9 +9,10 @@ use std::{
 
 use mcap::{
     McapError,
-    records::op,
+    records::{Record, op},
     sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
+use singletrack_record::parse_record;
 
 use super::{
     messages::{Messages, Topic},
@@ -45,31 +46,33 @@ pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportErr
                 continue;
             }
         };
-        let mut fields = Fields(data);
-        let short = || damaged(McapError::UnexpectedEof);
-        match opcode {
-            op::SCHEMA => {
-                let (id, schema) = fields.schema().ok_or_else(short)?;
-                schemas.insert(id, schema);
+        if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
+            continue;
+        }
+        match parse_record(opcode, data).map_err(damaged)? {
+            Record::Schema { header, data } => {
+                schemas.insert(
+                    header.id,
+                    (header, String::from_utf8_lossy(&data).into_owned()),
+                );
             }
-            op::CHANNEL => {
-                let (id, schema, [topic, encoding]) = fields.channel().ok_or_else(short)?;
-                let schema: Option<&[String; 3]> = schemas.get(&schema);
+            Record::Channel(channel) => {
+                let schema = schemas.get(&channel.schema_id);
                 let topic = Topic {
-                    name: &topic,
-                    kind: schema.map_or("", |[name, ..]| name),
-                    encoding: &encoding,
-                    definition: schema.map(|[_, language, text]| (&**language, &**text)),
+                    name: &channel.topic,
+                    kind: schema.map_or("", |(header, _)| &header.name),
+                    encoding: &channel.message_encoding,
+                    definition: schema.map(|(header, text)| (&*header.encoding, &**text)),
                 };
-                if let Entry::Vacant(new) = channels.entry(id) {
+                if let Entry::Vacant(new) = channels.entry(channel.id) {
                     new.insert(messages.topic(&topic)?);
                 }
             }
-            op::MESSAGE => {
-                let (channel, receive_ns) = fields.message().ok_or_else(short)?;
+            Record::Message { header, data } => {
+                let channel = header.channel_id;
                 let unknown = || damaged(McapError::UnknownChannel(0, channel));
                 if let Some(id) = channels.get(&channel).ok_or_else(unknown)? {
-                    messages.message(*id, receive_ns, fields.0)?;
+                    messages.message(*id, header.log_time, &data)?;
                 }
             }
             _ => {}
@@ -90,42 +93,4 @@ fn fix(error: &McapError) -> String {
         _ => "it is damaged: `mcap recover` saves what can be read",
     };
     format!("{error}: {fix}")
-}
-
-/// The rest of a record. [`mcap::parse_record`] reserves as much memory as a text claims to need.
-struct Fields<'a>(&'a [u8]);
-
-impl Fields<'_> {
-    /// Identifier; name, language and text of a schema.
-    fn schema(&mut self) -> Option<(u16, [String; 3])> {
-        let id = u16::from_le_bytes(self.number()?);
-        Some((id, [self.text()?, self.text()?, self.text()?]))
-    }
-
-    /// Identifier and schema; topic and encoding of a channel.
-    fn channel(&mut self) -> Option<(u16, u16, [String; 2])> {
-        let [id, schema] = [self.number()?, self.number()?].map(u16::from_le_bytes);
-        Some((id, schema, [self.text()?, self.text()?]))
-    }
-
-    /// Channel and time of reception of a message, before its contents.
-    fn message(&mut self) -> Option<(u16, u64)> {
-        let channel = u16::from_le_bytes(self.number()?);
-        let _sequence: [u8; 4] = self.number()?;
-        let [receive_ns, _publish_ns] = [self.number()?, self.number()?].map(u64::from_le_bytes);
-        Some((channel, receive_ns))
-    }
-
-    fn number<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (number, rest) = self.0.split_first_chunk()?;
-        self.0 = rest;
-        Some(*number)
-    }
-
-    fn text(&mut self) -> Option<String> {
-        let length = u32::from_le_bytes(self.number()?);
-        let (text, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
-        self.0 = rest;
-        Some(String::from_utf8_lossy(text).into_owned())
-    }
 }
