@@ -143,19 +143,16 @@ impl FrontPointLaw {
     }
 
     /// The distance p, in m.
-    #[must_use]
     pub const fn point_distance(&self) -> f64 {
         self.point_distance
     }
 
     /// The distance `l_f` that the law uses, in m.
-    #[must_use]
     pub const fn front_axle_distance(&self) -> f64 {
         self.front_axle_distance
     }
 
     /// The position of P by equation 3 with the law's own `l_f`.
-    #[must_use]
     pub fn point(&self, centre_of_mass: Position, yaw: f64, steering: f64) -> Position {
         front_point(
             centre_of_mass,
@@ -271,13 +268,11 @@ impl VelocityPointLaw {
     }
 
     /// The distance p, in m.
-    #[must_use]
     pub const fn point_distance(&self) -> f64 {
         self.point_distance
     }
 
     /// The position of P (appendix, first equation).
-    #[must_use]
     pub fn point(&self, centre_of_mass: Position, yaw: f64, sideslip: f64) -> Position {
         velocity_point(centre_of_mass, yaw, sideslip, self.point_distance)
     }

@@ -110,13 +110,11 @@ pub struct SingleTrack<P = f64> {
 
 impl<P> SingleTrack<P> {
     /// The model of `vehicle`.
-    #[must_use]
     pub const fn new(vehicle: VehicleParameters<P>) -> Self {
         Self { vehicle }
     }
 
     /// The parameters of the vehicle.
-    #[must_use]
     pub const fn vehicle(&self) -> &VehicleParameters<P> {
         &self.vehicle
     }
@@ -159,7 +157,6 @@ impl SingleTrack {
     ///
     /// Stiff at low speed (modes near -150/v and -72/v) and singular at v = 0:
     /// see [`crate::RelaxedSingleTrack`] for a car that starts and stops.
-    #[must_use]
     pub fn derivative(
         &self,
         state: &SingleTrackState,
@@ -228,7 +225,6 @@ pub struct Axles<P = f64> {
 
 impl<P> Axles<P> {
     /// The parameters of the vehicle.
-    #[must_use]
     pub const fn vehicle(&self) -> &VehicleParameters<P> {
         &self.vehicle
     }
@@ -236,7 +232,6 @@ impl<P> Axles<P> {
 
 impl<P: Number<P>> Axles<P> {
     /// The axles of `vehicle` with `tyres`, for small angles.
-    #[must_use]
     pub fn new(vehicle: VehicleParameters<P>, tyres: Tyres) -> Self {
         let VehicleParameters {
             mass_kg: m,
@@ -406,7 +401,6 @@ pub struct RelaxedSingleTrack {
 
 impl RelaxedSingleTrack {
     /// The model of `vehicle`.
-    #[must_use]
     pub fn new(vehicle: VehicleParameters) -> Self {
         Self::with_axles(Axles::new(vehicle, Tyres::Saturating))
     }
@@ -418,14 +412,12 @@ impl RelaxedSingleTrack {
     }
 
     /// The parameters of the vehicle.
-    #[must_use]
     pub const fn vehicle(&self) -> &VehicleParameters {
         self.axles.vehicle()
     }
 
     /// The derivative at a speed of G (m/s, reverse negative) and a steering
     /// angle (rad, left positive).
-    #[must_use]
     pub fn derivative(
         &self,
         state: &SingleTrackState,

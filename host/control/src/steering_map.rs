@@ -57,20 +57,17 @@ impl SteeringTable {
     }
 
     /// Its pairs.
-    #[must_use]
     pub fn pairs(&self) -> &[[f64; 2]] {
         &self.0
     }
 
     /// The angle of the front wheels at a pulse, in rad.
-    #[must_use]
     pub fn angle(&self, pulse_us: f64) -> f64 {
         interpolate(&self.0, pulse_us)
     }
 
     /// The pulse for an angle of the front wheels, in µs: the middle of a dead band, and the
     /// inner end of a stop; what is not finite stays as it is.
-    #[must_use]
     pub fn pulse(&self, angle_rad: f64) -> f64 {
         if !angle_rad.is_finite() {
             return angle_rad;
@@ -116,7 +113,6 @@ impl SteeringTable {
     }
 
     /// The least and the greatest angle that it reaches, in rad.
-    #[must_use]
     pub fn reach(&self) -> [f64; 2] {
         let [[_, one], [_, other]] = self.ends();
         [one.min(other), one.max(other)]
@@ -169,7 +165,6 @@ impl From<SteeringTable> for Pairs {
 
 /// The value at `x` of straight lines between pairs of x and value, in the order of x; beyond
 /// the ends that of the end, and 0 without pairs.
-#[must_use]
 pub fn interpolate(pairs: &[[f64; 2]], x: f64) -> f64 {
     let after = pairs.partition_point(|[at, _]| *at <= x);
     let before = after.checked_sub(1).and_then(|place| pairs.get(place));
@@ -199,7 +194,6 @@ pub struct SteeringMap {
 
 impl SteeringMap {
     /// The angle of the front wheels at a pulse, in rad.
-    #[must_use]
     pub fn angle(&self, pulse_us: f64) -> f64 {
         match &self.table {
             Some(table) => table.angle(pulse_us),
@@ -209,7 +203,6 @@ impl SteeringMap {
 
     /// The angle to command the board for this one of the front wheels, both in rad; what is not
     /// finite stays as it is.
-    #[must_use]
     pub fn commanded(&self, wheels_rad: f64) -> f64 {
         match &self.table {
             Some(table) => (table.pulse(wheels_rad) - self.centre_us) / self.gain_us_per_rad,

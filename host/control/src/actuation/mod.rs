@@ -44,7 +44,6 @@ pub struct Limits {
 
 impl Limits {
     /// For the paper's car.
-    #[must_use]
     pub const fn paper() -> Self {
         Self {
             max_speed: 1.5,
@@ -88,7 +87,6 @@ impl Limits {
 
     /// The steering angle at which the lateral acceleration reaches its limit, at this speed
     /// (m/s), in rad: atan(a L/v²), and the part that the tyres' slip takes.
-    #[must_use]
     pub fn steering_at(&self, speed: f64) -> f64 {
         let rolling = atan(self.max_lateral_acceleration * self.wheelbase / (speed * speed));
         (rolling + self.slip).max(0.0)
@@ -96,7 +94,6 @@ impl Limits {
 
     /// The speed at which the lateral acceleration reaches its limit, with this steering
     /// angle (rad), in m/s; infinite where it never does.
-    #[must_use]
     pub fn speed_in_bend(&self, steering: f64) -> f64 {
         let rolling = (fabs(steering) - self.slip).max(0.0);
         let curvature = tan(rolling) / self.wheelbase;
@@ -197,7 +194,6 @@ impl Hand {
 
 impl LimitedLaw {
     /// A standing car with straight wheels.
-    #[must_use]
     pub const fn new(law: FrontPointLaw, limits: Limits) -> Self {
         Self {
             law,
@@ -221,7 +217,6 @@ impl LimitedLaw {
     }
 
     /// The law.
-    #[must_use]
     pub const fn law(&self) -> &FrontPointLaw {
         &self.law
     }
@@ -232,13 +227,11 @@ impl LimitedLaw {
     }
 
     /// The last command.
-    #[must_use]
     pub const fn actuation(&self) -> Actuation {
         self.actuation
     }
 
     /// Whether the car turns around.
-    #[must_use]
     pub const fn is_turning_round(&self) -> bool {
         self.turning.is_some()
     }
@@ -247,7 +240,6 @@ impl LimitedLaw {
     /// over the actuators is taken off. Only after a step of the law.
     ///
     /// It is the wanted velocity where nothing limited that.
-    #[must_use]
     pub fn point_velocity(&self) -> Velocity {
         let Basis {
             motion,

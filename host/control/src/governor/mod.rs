@@ -64,7 +64,6 @@ impl SlowedBy {
     ];
 
     /// The word for it.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Tyres => "tyres",
@@ -94,7 +93,6 @@ pub struct GovernorConfig {
 impl GovernorConfig {
     /// The radius of the circle on which P follows a circle that is smaller, in m. The steering
     /// angle that it takes leaves some for corrections.
-    #[must_use]
     pub fn least_radius(&self) -> f64 {
         let front = self.limits.wheelbase / sin(USABLE * self.limits.max_steering);
         let p = self.law.point_distance();
@@ -137,7 +135,6 @@ const FREE: Sample = Sample {
 
 impl Governor {
     /// A governor at the start of a reference.
-    #[must_use]
     pub const fn new(config: GovernorConfig) -> Self {
         Self {
             config,
@@ -162,20 +159,17 @@ impl Governor {
 
     /// The path parameter at `time` (s since the start of the drive), which is not before the
     /// last tick; the rate stays as it is until the next tick.
-    #[must_use]
     pub fn path_at(&self, time: f64) -> f64 {
         self.path_of(self.led_at(time)).max(self.path)
     }
 
     /// The rate at which the governed reference advances, 0 to 1: its velocity as a share of the
     /// one asked for. Beside a bend that is too tight the path parameter advances more slowly.
-    #[must_use]
     pub const fn rate(&self) -> f64 {
         self.rate
     }
 
     /// Why the reference is followed more slowly or beside its path, if it is.
-    #[must_use]
     pub const fn slowed_by(&self) -> Option<SlowedBy> {
         self.slowed_by
     }
@@ -369,7 +363,6 @@ pub struct Room {
 impl Room {
     /// The room inside `area` for a car that stops with the deceleration `braking` (m/s²) after
     /// the time `reaction` (s). The leader keeps 5 cm from the edge. None if so little is left.
-    #[must_use]
     pub fn new(area: &ConvexArea, braking: f64, reaction: f64) -> Option<Self> {
         let is_valid = braking > 0.0 && braking.is_finite() && reaction >= 0.0;
         let area = area.shrunk(RESERVE).ok()?;

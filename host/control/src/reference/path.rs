@@ -146,7 +146,6 @@ impl Path {
     }
 
     /// Whether the path ends where it begins and goes on from there.
-    #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.is_closed
     }
@@ -162,7 +161,6 @@ impl Path {
     }
 
     /// The time from the first point to the last one, or once round, in s.
-    #[must_use]
     pub fn lap_time(&self) -> f64 {
         self.stations.last().map_or(0.0, |station| station.time)
     }
