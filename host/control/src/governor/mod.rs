@@ -16,7 +16,7 @@ use libm::{floor, rint, sin, sqrt};
 use self::leader::{Leader, STEP, Sample};
 use crate::{
     ConvexArea, FrontPointLaw, Limits, Position, Reference, ReferencePoint, Stop, Velocity,
-    along_bend,
+    along_bend, words,
 };
 
 /// The part of a limit that the reference may take; the rest is for corrections.
@@ -35,44 +35,22 @@ const AHEAD: f64 = 1.5;
 /// The steps of the leader that are kept: those ahead, and some behind.
 const STEPS: usize = (AHEAD / STEP) as usize + 8;
 
-/// Why a reference is slowed down.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SlowedBy {
-    /// The lateral acceleration of the car.
-    Tyres,
-    /// Its steering angle: the governed reference is beside the path, or the wheels turn from it.
-    Steering,
-    /// Its steering rate.
-    SteeringRate,
-    /// Its speed.
-    Speed,
-    /// P, which is far behind.
-    Behind,
-    /// The geofence, inside which the car must be able to stop.
-    Geofence,
-}
-
-impl SlowedBy {
-    /// All values.
-    pub const ALL: [Self; 6] = [
-        Self::Tyres,
-        Self::Steering,
-        Self::SteeringRate,
-        Self::Speed,
-        Self::Behind,
-        Self::Geofence,
-    ];
-
-    /// The word for it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Tyres => "tyres",
-            Self::Steering => "steering",
-            Self::SteeringRate => "steering-rate",
-            Self::Speed => "speed",
-            Self::Behind => "behind",
-            Self::Geofence => "geofence",
-        }
+words! {
+    /// Why a reference is slowed down.
+    pub enum SlowedBy {
+        /// The lateral acceleration of the car.
+        Tyres = "tyres",
+        /// Its steering angle: the governed reference is beside the path, or the wheels turn from
+        /// it.
+        Steering = "steering",
+        /// Its steering rate.
+        SteeringRate = "steering-rate",
+        /// Its speed.
+        Speed = "speed",
+        /// P, which is far behind.
+        Behind = "behind",
+        /// The geofence, inside which the car must be able to stop.
+        Geofence = "geofence",
     }
 }
 
@@ -209,7 +187,6 @@ impl Governor {
     }
 
     /// The governed reference `ahead` seconds after the last tick.
-    #[must_use]
     pub fn at(&self, reference: &Reference, ahead: f64) -> ReferencePoint {
         if self.rate >= 1.0 && self.slope >= 0.0 {
             return self.led_point(reference, self.led + ahead);
