@@ -76,21 +76,9 @@ impl SteeringTable {
         let angle_rad = angle_rad.clamp(least, most);
         let [first, last] = self.ends();
         // Whether the wheels reach the angle at this pulse, from the first pair on.
-        let rises = first[1] < last[1];
-        let is_before = |angle: f64| {
-            if rises {
-                angle < angle_rad
-            } else {
-                angle > angle_rad
-            }
-        };
-        let is_behind = |angle: f64| {
-            if rises {
-                angle > angle_rad
-            } else {
-                angle < angle_rad
-            }
-        };
+        let sense = if first[1] < last[1] { 1.0 } else { -1.0 };
+        let is_before = |angle: f64| sense * angle < sense * angle_rad;
+        let is_behind = |angle: f64| sense * angle > sense * angle_rad;
         let from = self.0.partition_point(|pair| is_before(pair[1]));
         let to = self.0.partition_point(|pair| !is_behind(pair[1]));
         let crossing = |place: usize| match (place.checked_sub(1), self.0.get(place)) {

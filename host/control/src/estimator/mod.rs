@@ -291,7 +291,7 @@ impl Estimator {
     /// pose.
     pub fn acceleration_bias(&self) -> [f64; 2] {
         self.track.as_ref().map_or([0.0; 2], |track| {
-            [track.bank.best().forward_bias(), track.bank.left_bias()]
+            [track.bank.best().forward_bias(), track.bank.left_bias]
         })
     }
 
@@ -333,7 +333,7 @@ impl Estimator {
         let Some(track) = self.advance(pose.capture) else {
             return self.start(&measurement, pose.capture);
         };
-        if pose.capture <= track.pose_time || pose.capture < track.bank.time() {
+        if pose.capture <= track.pose_time || pose.capture < track.bank.time {
             return PoseVerdict::Late;
         }
         let (innovation, within) = track.bank.correct_pose(&measurement, &config);
@@ -483,7 +483,7 @@ impl Estimator {
     fn advance(&mut self, end: Time) -> Option<&mut Track> {
         let track = self.track.as_mut()?;
         let bank = &mut track.bank;
-        if end < bank.time() {
+        if end < bank.time {
             return Some(track);
         }
         while let Some(next) = self.samples.front().copied()
