@@ -87,15 +87,7 @@ struct Lateral {
 
 impl Lateral {
     fn of(vehicle: &VehicleParameters) -> Self {
-        let VehicleParameters {
-            mass_kg: m,
-            yaw_inertia_kg_m2: inertia,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = *vehicle;
+        let [m, inertia, l_f, l_r, c_f, c_r] = vehicle.symbols();
         let wheelbase = vehicle.wheelbase_m();
         Self {
             wheelbase,

@@ -124,15 +124,7 @@ impl<P: Number<P>> SingleTrack<P> {
     /// Equation 1 as printed: yaw acceleration and sideslip rate with linear tyres. The
     /// speed must be positive.
     pub fn lateral<N: Number<P>>(&self, motion: &LateralMotion<N>) -> LateralRate<N> {
-        let VehicleParameters {
-            mass_kg: m,
-            yaw_inertia_kg_m2: i_z,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = self.vehicle;
+        let [m, i_z, l_f, l_r, c_f, c_r] = self.vehicle.symbols();
         let LateralMotion {
             yaw_rate,
             sideslip,

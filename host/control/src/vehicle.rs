@@ -43,6 +43,20 @@ pub struct VehicleParameterError {
     pub value: f64,
 }
 
+impl<P: Copy> VehicleParameters<P> {
+    /// The paper's symbols for them, without friction: `m`, `I_z`, `l_f`, `l_r`, `C_f` and `C_r`.
+    pub const fn symbols(&self) -> [P; 6] {
+        [
+            self.mass_kg,
+            self.yaw_inertia_kg_m2,
+            self.front_axle_distance_m,
+            self.rear_axle_distance_m,
+            self.front_cornering_stiffness_n_rad,
+            self.rear_cornering_stiffness_n_rad,
+        ]
+    }
+}
+
 impl VehicleParameters {
     /// The 1:10 car of the paper (table "Experimental Platform Data").
     pub const fn paper() -> Self {

@@ -483,18 +483,10 @@ struct Tyres {
 impl Tyres {
     /// At this speed (m/s), yaw rate (rad/s) and yaw acceleration (rad/s²).
     fn of(vehicle: &VehicleParameters, speed: f64, turn: f64, turn_slope: f64) -> Self {
-        let VehicleParameters {
-            mass_kg: m,
-            yaw_inertia_kg_m2: inertia,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            friction,
-        } = *vehicle;
+        let [m, inertia, l_f, l_r, c_f, c_r] = vehicle.symbols();
         let wheelbase = vehicle.wheelbase_m();
         let lateral = speed * turn + l_r * turn_slope;
-        let used = (fabs(speed * turn) / (friction * GRAVITY)).min(MOST_GRIP);
+        let used = (fabs(speed * turn) / (vehicle.friction * GRAVITY)).min(MOST_GRIP);
         // By how much the slip of saturating tyres is larger than that of linear ones.
         let stiffness =
             c_f * c_r * wheelbase * wheelbase / speed + m * speed * (c_r * l_r - c_f * l_f);

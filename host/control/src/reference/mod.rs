@@ -19,7 +19,7 @@ pub use simple::{
 };
 
 /// A reference at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ReferencePoint {
     /// Position of P, in m; none for a reference of velocity only.
     pub position: Option<Position>,
@@ -174,10 +174,7 @@ impl Reference {
             Self::FigureOfEight(figure) => figure.at(time),
             Self::Waypoints(waypoints) => waypoints.at(time),
             Self::Path(path) => path.at(time),
-            Self::External(_) => ReferencePoint {
-                position: None,
-                velocity: Velocity::zeros(),
-            },
+            Self::External(_) => ReferencePoint::default(),
         }
     }
 

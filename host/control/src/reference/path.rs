@@ -184,10 +184,7 @@ impl Path {
             .min(last);
         let (Some(from), Some(to)) = (self.stations.get(index), self.stations.get(index + 1))
         else {
-            return ReferencePoint {
-                position: None,
-                velocity: Velocity::zeros(),
-            };
+            return ReferencePoint::default();
         };
         let whole = to.time - from.time;
         let elapsed = (time - from.time).clamp(0.0, whole);

@@ -334,12 +334,8 @@ impl Waypoints {
                     velocity,
                 }
             }
-            (Some(point), None) | (None, Some(point)) => ReferencePoint {
-                position: Some(point.position),
-                velocity: Velocity::zeros(),
-            },
-            (None, None) => ReferencePoint {
-                position: None,
+            (last, next) => ReferencePoint {
+                position: last.or(next).map(|point| point.position),
                 velocity: Velocity::zeros(),
             },
         }
