@@ -273,23 +273,13 @@ pub struct Question {
 }
 
 impl Question {
-    /// With a text that never changes.
-    pub const fn new(id: &'static str, text: &'static str, answers: Answers) -> Self {
+    /// With [`Answers::Begin`], and a text that never changes.
+    pub const fn begin(id: &'static str, text: &'static str) -> Self {
         Self {
             id,
             text: Cow::Borrowed(text),
-            answers,
+            answers: Answers::Begin,
         }
-    }
-
-    /// With [`Answers::Begin`].
-    pub const fn begin(id: &'static str, text: &'static str) -> Self {
-        Self::new(id, text, Answers::Begin)
-    }
-
-    /// With [`Answers::YesNo`].
-    pub(crate) const fn yes_no(id: &'static str, text: &'static str) -> Self {
-        Self::new(id, text, Answers::YesNo)
     }
 }
 

@@ -3,6 +3,7 @@
 //! A file is replaced as a whole: after a crash it is the old one or the new one, and the old
 //! one is kept beside it.
 
+use core::fmt;
 use std::{
     fs::{self, File, Metadata},
     io::{self, Write as _},
@@ -11,39 +12,19 @@ use std::{
 };
 
 use similar::TextDiff;
-use singletrack_core::{Config, ConfigError};
+use singletrack_core::Config;
 use singletrack_record::put_in_place;
 use toml_edit::{DocumentMut, Item, Table, TableLike, TomlError, Value};
 
-/// Why a file was not changed.
+/// Why a file was not changed: which, and what is wrong with it, with a key or with new values.
 #[derive(Debug, thiserror::Error)]
-pub enum EditError {
-    /// It can't be read or written.
-    #[error("{}: {source}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// It is not valid TOML.
-    #[error("not valid TOML: {0}")]
-    Toml(#[from] TomlError),
-    /// The key names a table, or one of its tables is a value.
-    #[error("{0} can't be set in this file")]
-    Key(String),
-    /// The new values are not valid in the configuration.
-    #[error("the new values do not fit: {0}")]
-    Config(#[from] Box<ConfigError>),
-}
+#[error("{0}")]
+pub struct EditError(String);
 
 impl EditError {
-    /// What the system says of a file.
-    fn of(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
-        |source| Self::File {
-            path: path.to_owned(),
-            source,
-        }
+    /// What is wrong with a file.
+    pub fn of<W: fmt::Display>(path: &Path) -> impl Fn(W) -> Self + Copy {
+        move |why| Self(format!("{}: {why}", path.display()))
     }
 }
 
@@ -61,7 +42,7 @@ impl Edit {
     ///
     /// It is not valid TOML.
     pub fn new(text: &str) -> Result<Self, EditError> {
-        let _: DocumentMut = text.parse()?;
+        parsed(text)?;
         Ok(Self {
             old: text.to_owned(),
             new: text.to_owned(),
@@ -85,8 +66,8 @@ impl Edit {
     ///
     /// The key names a table, or one of its tables is a value.
     pub fn set(&mut self, key: &str, value: &Value) -> Result<(), EditError> {
-        let refused = || EditError::Key(key.to_owned());
-        let mut document: DocumentMut = self.new.parse()?;
+        let refused = || EditError(format!("{key} can't be set in this file"));
+        let mut document = parsed(&self.new)?;
         let (tables, name) = key.rsplit_once('.').unwrap_or(("", key));
         if find(&document, key).is_none()
             && let Some(text) = uncommented(&self.new, tables, name, value)
@@ -193,8 +174,9 @@ impl Edit {
         let result = stage(&path, &staged, &self.new)
             .and_then(|()| {
                 // In the file's folder: its relative paths start there.
-                Config::read(&staged).map_err(Box::new)?;
-                Ok(())
+                Config::read(&staged)
+                    .map(drop)
+                    .map_err(|error| EditError(format!("the new values do not fit: {error}")))
             })
             .and_then(|()| keep(&path, &kept))
             .and_then(|()| put_in_place(&staged, &path).map_err(EditError::of(&path)));
@@ -254,6 +236,11 @@ fn kept_name(path: &Path, date: &str) -> PathBuf {
         .map(|number| path.with_added_extension(format!("old-{date}-{number}")))
         .find(|name| !name.exists())
         .unwrap_or(first)
+}
+
+fn parsed(text: &str) -> Result<DocumentMut, EditError> {
+    text.parse()
+        .map_err(|error: TomlError| EditError(format!("not valid TOML: {error}")))
 }
 
 /// The value of a key; none if it is not written.

@@ -3,10 +3,11 @@
 use std::borrow::Cow;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
+use singletrack_control::words;
 use singletrack_core::reasons::Why;
 use singletrack_protocol::StopCause;
 
-use crate::Interrupted;
+use crate::{Bench, Interrupted};
 
 /// The result of a step: what it found, what was expected, and what to do.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -32,7 +33,10 @@ impl Finding {
             verdict,
             found: found.into(),
             expected: String::new(),
-            fix: fix.into(),
+            fix: match verdict {
+                Verdict::Good => String::new(),
+                _ => fix.into(),
+            },
             parameters: Vec::new(),
         }
     }
@@ -47,18 +51,12 @@ impl Finding {
 
     /// Good, or a failure, which `fix` removes.
     pub(crate) fn check(is_good: bool, found: impl Into<String>, fix: &str) -> Self {
-        match is_good {
-            true => Self::good(found),
-            false => Self::new(Verdict::Failed, found, fix),
-        }
+        Self::new(Verdict::Failed.unless(is_good), found, fix)
     }
 
     /// A warning if `has_fault`, which `fix` removes; good otherwise.
     pub(crate) fn warning_if(has_fault: bool, found: impl Into<String>, fix: &str) -> Self {
-        match has_fault {
-            true => Self::warning(found, fix),
-            false => Self::good(found),
-        }
+        Self::new(Verdict::Warning.unless(!has_fault), found, fix)
     }
 
     pub(crate) fn with(self, parameters: Vec<Parameter>) -> Self {
@@ -136,35 +134,29 @@ pub(crate) fn require(is_good: bool, found: impl Into<String>, fix: &str) -> Res
 pub(crate) fn stopped(what: &str, word: &str) -> Trouble {
     let why = Why::of_word("host", word);
     let advice = why.advice.unwrap_or_default();
-    failed(
-        format!("{what}: {}", why.text),
-        format!("{advice} Run this step again.").trim_start(),
-    )
+    let fix = format!("{advice} Run this step again.");
+    failed(format!("{what}: {}", why.text), fix.trim_start())
 }
 
-/// The verdict of a finding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Verdict {
-    /// As it should be.
-    Good,
-    /// Not checked: the operator skipped it, or the car has no such part.
-    Skipped,
-    /// It works, but could be better.
-    Warning,
-    /// The next procedure must not begin.
-    Failed,
+words! {
+    /// The verdict of a finding.
+    #[derive(PartialOrd, Ord)]
+    pub enum Verdict: serde {
+        /// As it should be.
+        Good = "good",
+        /// Not checked: the operator skipped it, or the car has no such part.
+        Skipped = "skipped",
+        /// It works, but could be better.
+        Warning = "warning",
+        /// The next procedure must not begin.
+        Failed = "failed",
+    }
 }
 
 impl Verdict {
-    /// Its name in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Good => "good",
-            Self::Skipped => "skipped",
-            Self::Warning => "warning",
-            Self::Failed => "failed",
-        }
+    /// Good instead, if it is.
+    pub(crate) const fn unless(self, is_good: bool) -> Self {
+        if is_good { Self::Good } else { self }
     }
 }
 
@@ -259,19 +251,20 @@ pub struct Parameter {
 }
 
 impl Parameter {
-    pub(crate) fn new(
-        name: &'static str,
-        unit: &'static str,
-        estimate: Interval,
-        key: Option<(&'static str, toml_edit::Value)>,
-    ) -> Self {
+    pub(crate) const fn new(name: &'static str, unit: &'static str, estimate: Interval) -> Self {
         Self {
             name: Cow::Borrowed(name),
             unit: Cow::Borrowed(unit),
             estimate,
-            key: key.map(|(key, value)| (key.into(), value)),
+            key: None,
             why: Cow::Borrowed(""),
         }
+    }
+
+    /// With the key that takes it, and the key's new value.
+    pub(crate) fn written(self, key: &'static str, value: impl Into<toml_edit::Value>) -> Self {
+        let key = Some((key.into(), value.into()));
+        Self { key, ..self }
     }
 
     /// With the reason why the key takes another value.
@@ -284,8 +277,26 @@ impl Parameter {
 /// The keys of some parameters, each with its value.
 pub(crate) fn keys(parameters: &[Parameter]) -> Vec<(&str, toml_edit::Value)> {
     let keys = parameters.iter().filter_map(|one| one.key.as_ref());
-    keys.map(|(key, value)| (key.as_ref(), value.clone()))
-        .collect()
+    let keys = keys.map(|(key, value)| (key.as_ref(), value.clone()));
+    let mut keys: Vec<_> = keys.collect();
+    // Two parameters that follow each other may be the parts of one value.
+    keys.dedup_by_key(|(key, _)| *key);
+    keys
+}
+
+/// Puts values in force.
+pub(crate) fn change(
+    bench: &mut dyn Bench,
+    values: &[(&str, toml_edit::Value)],
+) -> Result<(), Trouble> {
+    bench.change(values).map_err(|refused| {
+        let keys: Vec<_> = values.iter().map(|(key, _)| *key).collect();
+        let fix = "Correct the configuration file as the message says, and run this step again.";
+        failed(
+            format!("{} can't be changed: {refused}", keys.join(", ")),
+            fix,
+        )
+    })
 }
 
 /// A key and its value as two keys of the output, or as none if there is no key.

@@ -191,15 +191,14 @@ pub(crate) fn compare(levels: &[NoiseLevel], estimator: &EstimatorSection) -> Co
             continue;
         }
         let proposed = rounded_up(measured);
-        let is_raised = is_too_small && proposed > believed;
-        if is_raised {
+        let estimate = Interval::around(measured, error * measured);
+        let mut parameter = Parameter::new(name, unit, estimate);
+        if is_too_small && proposed > believed {
+            parameter = parameter.written(key, proposed);
             let believed = digits(believed);
             let text = format!("{key} is {believed}, measured {proposed}");
             comparison.too_small.push(text);
         }
-        let estimate = Interval::around(measured, error * measured);
-        let key = is_raised.then(|| (key, proposed.into()));
-        let parameter = Parameter::new(name, unit, estimate, key);
         comparison.parameters.push(parameter);
     }
     comparison

@@ -5,6 +5,7 @@
 //! what that does to a signal: its first derivative is the mean weighted by h² - t², its second the mean
 //! weighted by (h² - t²)², h being half of the window. So a slope of one is one, whatever the window.
 
+use nalgebra::SVector;
 use serde::Serialize;
 use singletrack_control::{InertialSample, Time};
 
@@ -222,69 +223,41 @@ impl Grid {
     }
 }
 
-/// Sums over pairs of the truth and what a sensor reads.
-#[derive(Clone, Copy, Default)]
-struct Sums {
-    count: f64,
-    x: f64,
-    y: f64,
-    xx: f64,
-    xy: f64,
-    yy: f64,
-}
+/// Sums over pairs of the truth x and what a sensor reads y: of 1, x, y, x², x y, and y².
+type Sums = SVector<f64, 6>;
 
-impl Sums {
-    fn add(&mut self, x: f64, y: f64) {
-        self.count += 1.0;
-        self.x += x;
-        self.y += y;
-        self.xx += x * x;
-        self.xy += x * y;
-        self.yy += y * y;
-    }
-
-    fn less(self, part: &Self) -> Self {
-        Self {
-            count: self.count - part.count,
-            x: self.x - part.x,
-            y: self.y - part.y,
-            xx: self.xx - part.xx,
-            xy: self.xy - part.xy,
-            yy: self.yy - part.yy,
-        }
-    }
-
-    fn slope_and_correlation(&self) -> Option<(f64, f64)> {
-        let xx = self.xx - self.x * self.x / self.count;
-        let xy = self.xy - self.x * self.y / self.count;
-        let yy = self.yy - self.y * self.y / self.count;
-        (self.count > 20.0 && xx > 0.0 && yy > 0.0).then(|| (xy / xx, xy / (xx * yy).sqrt()))
-    }
+fn slope_and_correlation(sums: &Sums) -> Option<(f64, f64)> {
+    let [count, x, y, xx, xy, yy]: [f64; 6] = (*sums).into();
+    let xx = xx - x * x / count;
+    let xy = xy - x * y / count;
+    let yy = yy - y * y / count;
+    (count > 20.0 && xx > 0.0 && yy > 0.0).then(|| (xy / xx, xy / (xx * yy).sqrt()))
 }
 
 /// Sums over all of a drive, and with each of its parts left out.
 type Summed = (Sums, [Sums; PARTS]);
 
 fn sums(truth: &[Option<f64>], read: &[Option<f64>], lag: isize) -> Summed {
-    let mut all = Sums::default();
-    let mut parts = [Sums::default(); PARTS];
+    let mut all = Sums::zeros();
+    let mut parts = [Sums::zeros(); PARTS];
     for (step, seen) in truth.iter().enumerate() {
         let later = step.checked_add_signed(lag);
         let read = later.and_then(|later| *read.get(later)?);
         if let (Some(x), Some(y)) = (*seen, read) {
-            all.add(x, y);
+            let pair = Sums::from([1.0, x, y, x * x, x * y, y * y]);
+            all += pair;
             if let Some(part) = parts.get_mut(step * PARTS / truth.len()) {
-                part.add(x, y);
+                *part += pair;
             }
         }
     }
-    (all, parts.map(|part| all.less(&part)))
+    (all, parts.map(|part| all - part))
 }
 
 /// What a sensor without bias reads of the truth, and its standard deviation.
 fn ratio(truth: &[Option<f64>], read: &[Option<f64>]) -> (f64, f64) {
     let (all, parts) = sums(truth, read, 0);
-    let ratio = |sums: &Sums| sums.xy / sums.xx;
+    let ratio = |sums: &Sums| sums[4] / sums[3];
     (ratio(&all), deviation(&parts.each_ref().map(ratio)))
 }
 
@@ -322,7 +295,7 @@ impl Sensor {
         let by_lag: Vec<Summed> = (-LAGS..=LAGS).map(|lag| sums(truth, read, lag)).collect();
         let correlations = |of: &dyn Fn(&Summed) -> Option<Sums>| {
             let each = by_lag.iter();
-            let values = each.map(|sums| Some(of(sums)?.slope_and_correlation()?.1));
+            let values = each.map(|sums| Some(slope_and_correlation(&of(sums)?)?.1));
             values.collect::<Vec<_>>()
         };
         let lag = best_lag(&correlations(&|(all, _)| Some(*all)))?;
@@ -347,10 +320,10 @@ impl Sensor {
         read: &[Option<f64>],
     ) -> Option<Self> {
         let (all, parts) = sums(truth, read, lag.round() as isize);
-        let (slope, correlation) = all.slope_and_correlation()?;
+        let (slope, correlation) = slope_and_correlation(&all)?;
         let slopes: Vec<f64> = parts
             .iter()
-            .filter_map(|part| Some(part.slope_and_correlation()?.0))
+            .filter_map(|part| Some(slope_and_correlation(part)?.0))
             .collect();
         Some(Self {
             sensor,

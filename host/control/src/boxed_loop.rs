@@ -45,7 +45,6 @@ pub struct BoxedLoop(Box<dyn AnyLoop>);
 
 impl BoxedLoop {
     /// The loop in a box.
-    #[must_use]
     pub fn new(own: impl OuterLoop + Clone + Debug + PartialEq + Send + Sync + 'static) -> Self {
         Self(Box::new(own))
     }

@@ -87,15 +87,7 @@ struct Lateral {
 
 impl Lateral {
     fn of(vehicle: &VehicleParameters) -> Self {
-        let VehicleParameters {
-            mass_kg: m,
-            yaw_inertia_kg_m2: inertia,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = *vehicle;
+        let [m, inertia, l_f, l_r, c_f, c_r] = vehicle.symbols();
         let wheelbase = vehicle.wheelbase_m();
         Self {
             wheelbase,
@@ -140,7 +132,6 @@ fn lagged(value: f64, target: f64, lag: f64, dt: f64) -> f64 {
 
 impl Predictor {
     /// Straight wheels that stand.
-    #[must_use]
     pub fn new(model: ActuatorModel, vehicle: &VehicleParameters) -> Self {
         Self {
             model,
@@ -154,13 +145,11 @@ impl Predictor {
     }
 
     /// The model.
-    #[must_use]
     pub const fn model(&self) -> &ActuatorModel {
         &self.model
     }
 
     /// The angle of the front wheels by the model, at the last tick, in rad.
-    #[must_use]
     pub const fn wheels(&self) -> f64 {
         self.wheels
     }
@@ -203,7 +192,6 @@ impl Predictor {
 
     /// The state when a command of this tick begins to turn the wheels. The model must have
     /// been advanced to the estimate's time.
-    #[must_use]
     pub fn predict(&self, estimate: &Estimate) -> Predicted {
         let ahead = self.model.steering_dead_time.min(FARTHEST);
         let mut state = Predicted {
@@ -270,7 +258,6 @@ impl Predictor {
 
     /// The command (rad) with which the wheels turn from `wheels` (rad) with `rate` (rad/s)
     /// over a period of `period` seconds, in spite of their lag.
-    #[must_use]
     pub fn command_for(&self, wheels: f64, rate: f64, period: f64) -> f64 {
         let lag = self.model.steering_lag;
         let reached = if lag > 0.0 {

@@ -40,7 +40,6 @@ pub struct Side {
 
 impl Side {
     /// The distance of `point` from the side, in m; negative beyond it.
-    #[must_use]
     pub fn distance(&self, point: &Position) -> f64 {
         self.offset - self.outward.dot(&point.coords)
     }
@@ -149,20 +148,17 @@ impl ConvexArea {
     }
 
     /// The corners, counter-clockwise, in m.
-    #[must_use]
     pub fn corners(&self) -> &[Position] {
         &self.corners
     }
 
     /// The sides.
-    #[must_use]
     pub fn sides(&self) -> &[Side] {
         &self.sides
     }
 
     /// The distance from `point` to the nearest side's line, in m; negative outside. NaN is
     /// outside.
-    #[must_use]
     pub fn clearance(&self, point: &Position) -> f64 {
         let least = self
             .sides
@@ -177,7 +173,6 @@ impl ConvexArea {
     }
 
     /// The point of the area that is nearest to `point`.
-    #[must_use]
     pub fn nearest(&self, point: &Position) -> Position {
         if self.sides.iter().all(|side| side.distance(point) >= 0.0) {
             return *point;

@@ -9,7 +9,7 @@ use libm::{cos, sin, sincos};
 use crate::{Position, VehicleParameters, Velocity, front_point, velocity_point};
 
 /// The motion of the car that the laws measure.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
     /// Yaw ψ, in rad.
     pub yaw: f64,
@@ -143,19 +143,16 @@ impl FrontPointLaw {
     }
 
     /// The distance p, in m.
-    #[must_use]
     pub const fn point_distance(&self) -> f64 {
         self.point_distance
     }
 
     /// The distance `l_f` that the law uses, in m.
-    #[must_use]
     pub const fn front_axle_distance(&self) -> f64 {
         self.front_axle_distance
     }
 
     /// The position of P by equation 3 with the law's own `l_f`.
-    #[must_use]
     pub fn point(&self, centre_of_mass: Position, yaw: f64, steering: f64) -> Position {
         front_point(
             centre_of_mass,
@@ -271,13 +268,11 @@ impl VelocityPointLaw {
     }
 
     /// The distance p, in m.
-    #[must_use]
     pub const fn point_distance(&self) -> f64 {
         self.point_distance
     }
 
     /// The position of P (appendix, first equation).
-    #[must_use]
     pub fn point(&self, centre_of_mass: Position, yaw: f64, sideslip: f64) -> Position {
         velocity_point(centre_of_mass, yaw, sideslip, self.point_distance)
     }
@@ -299,14 +294,7 @@ impl VelocityPointLaw {
             return Err(Singularity::Standstill { speed });
         }
         let turn_rate = (point_velocity.y * cosine - point_velocity.x * sine) / self.point_distance;
-        let VehicleParameters {
-            mass_kg: m,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = self.vehicle;
+        let [m, _, l_f, l_r, c_f, c_r] = self.vehicle.symbols();
         let steering = m * turn_rate / c_f * speed
             - (c_r * l_r - c_f * l_f) / c_f * motion.yaw_rate / speed
             + (c_r + c_f) / c_f * motion.sideslip;

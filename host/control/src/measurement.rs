@@ -12,7 +12,6 @@ const SECOND: f64 = 1e9;
 
 impl Time {
     /// Seconds from `earlier` to this time; negative if `earlier` is later.
-    #[must_use]
     pub fn seconds_since(self, earlier: Self) -> f64 {
         if self >= earlier {
             (self.0 - earlier.0) as f64 / SECOND
@@ -93,7 +92,6 @@ pub struct Covariance {
 
 impl Estimate {
     /// The part of the state that the laws use.
-    #[must_use]
     pub const fn motion(&self) -> Motion {
         Motion {
             yaw: self.yaw,
@@ -103,7 +101,6 @@ impl Estimate {
     }
 
     /// Age of the last accepted pose at the estimate's time, in s.
-    #[must_use]
     pub fn pose_age(&self) -> f64 {
         self.time.seconds_since(self.pose_time)
     }

@@ -175,7 +175,6 @@ pub struct Neighbours {
 
 impl Neighbours {
     /// None yet.
-    #[must_use]
     pub const fn new(config: NeighbourConfig) -> Self {
         Self {
             config,
@@ -185,7 +184,6 @@ impl Neighbours {
     }
 
     /// What is expected of them.
-    #[must_use]
     pub const fn config(&self) -> &NeighbourConfig {
         &self.config
     }
@@ -232,14 +230,12 @@ impl Neighbours {
 
     /// Whether one is listed that was never seen, or there are more than can be followed: it may
     /// be anywhere.
-    #[must_use]
     pub fn are_unknown(&self) -> bool {
         self.are_too_many || self.bodies.iter().any(|body| body.place.is_none())
     }
 
     /// For each place where one may be, the line beyond which it may be, seen from `from` (m): the
     /// car's centre of mass must stop before it.
-    #[must_use]
     pub fn sides(&self, now: Time, from: &Position, expected: Expected) -> NeighbourSides {
         let side = |place: Sighting, expected| {
             let way = place.position - from;

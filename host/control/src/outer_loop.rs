@@ -60,7 +60,6 @@ pub struct ProportionalLoop {
 
 impl ProportionalLoop {
     /// The commanded velocity of P (m/s) when P is at `point` (m).
-    #[must_use]
     pub fn velocity(&self, reference: &ReferencePoint, point: &Position) -> Velocity {
         match reference.position {
             None => reference.velocity,
@@ -82,7 +81,6 @@ pub struct OpenLoop;
 
 impl OpenLoop {
     /// The commanded velocity of P (m/s) when P is at `point` (m).
-    #[must_use]
     pub fn velocity(&self, reference: &ReferencePoint, _point: &Position) -> Velocity {
         reference.velocity
     }
@@ -131,7 +129,6 @@ impl LqiAxis {
     /// The matrices of this axis with a control period of `period` (s). The state is the error's
     /// integral, the error, and the velocity of P relative to the reference's; the input is the
     /// commanded relative velocity, held over the period.
-    #[must_use]
     pub fn regulator(&self, period: f64) -> QuadraticRegulator<3, 1> {
         let kept = decay(self.lag, period);
         // The way that the present velocity makes by itself.
@@ -280,13 +277,11 @@ impl LqiLoop {
 
     /// The gains along and across: of the error's integral (1/s²), of the error (1/s), and of
     /// the velocity.
-    #[must_use]
     pub const fn gains(&self) -> &[RowVector3<f64>; 2] {
         &self.gains
     }
 
     /// The integral of the error along and across, in m s.
-    #[must_use]
     pub const fn integral(&self) -> Velocity {
         self.state.integral
     }

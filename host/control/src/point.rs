@@ -14,7 +14,6 @@ pub type Position = Point2<f64>;
 pub type Velocity = Vector2<f64>;
 
 /// The unit vector at `angle` from the world's x axis, in rad.
-#[must_use]
 pub fn direction(angle: f64) -> Vector2<f64> {
     let (sine, cosine) = sincos(angle);
     Vector2::new(cosine, sine)
@@ -23,7 +22,6 @@ pub fn direction(angle: f64) -> Vector2<f64> {
 /// Equation 3: the point P, `point_distance` ahead of the front axle in the direction of
 /// the front wheels. The front axle is `front_axle_distance` (`l_f`, true or estimated)
 /// ahead of G. Angles are in rad, distances in m.
-#[must_use]
 pub fn front_point(
     centre_of_mass: Position,
     yaw: f64,
@@ -38,7 +36,6 @@ pub fn front_point(
 
 /// Equation 4: the velocity of the point P of [`front_point`], in m/s, when G moves with `speed`
 /// (m/s) and the steering angle changes with `steering_rate` (rad/s).
-#[must_use]
 pub fn front_point_velocity(
     law: &FrontPointLaw,
     motion: &Motion,
@@ -58,7 +55,6 @@ pub fn front_point_velocity(
 
 /// The appendix: the point P, `point_distance` (m) ahead of G in the direction of the
 /// velocity of G. Angles are in rad.
-#[must_use]
 pub fn velocity_point(
     centre_of_mass: Position,
     yaw: f64,
@@ -69,7 +65,6 @@ pub fn velocity_point(
 }
 
 /// The counter-clockwise angle from `from` to `to`, in (-π, π], in rad.
-#[must_use]
 pub fn angle_between(from: &Vector2<f64>, to: &Vector2<f64>) -> f64 {
     libm::atan2(from.perp(to), from.dot(to))
 }

@@ -101,7 +101,6 @@ impl<const N: usize, const M: usize> QuadraticRegulator<N, M> {
     }
 
     /// The largest entry of the Riccati equation's left side at `solution`.
-    #[must_use]
     pub fn residual(&self, solution: &Regulated<N, M>) -> f64 {
         let closed = self.transition - product(&self.input, &solution.gain);
         let kept = product(

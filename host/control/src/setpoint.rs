@@ -220,7 +220,6 @@ impl Demand {
 
 impl Setpoint {
     /// A velocity of P, with a position or without, decided at `time`.
-    #[must_use]
     pub const fn point(time: Time, position: Option<Position>, velocity: Velocity) -> Self {
         Self {
             stamp: SetpointStamp {
@@ -232,7 +231,6 @@ impl Setpoint {
     }
 
     /// Steering and speed, decided at `time`.
-    #[must_use]
     pub const fn actuation(time: Time, steering: SteeringDemand, speed: SpeedDemand) -> Self {
         Self {
             stamp: SetpointStamp {
@@ -297,7 +295,6 @@ impl Trajectory {
 
     /// Where P should be at `now`, and its velocity. Before the first point and after the last
     /// P should stand there.
-    #[must_use]
     pub fn at(&self, now: Time) -> Option<ReferencePoint> {
         let next = self.points.partition_point(|point| point.time <= now);
         let stands = |point: &TrajectoryPoint| ReferencePoint {

@@ -110,13 +110,11 @@ pub struct SingleTrack<P = f64> {
 
 impl<P> SingleTrack<P> {
     /// The model of `vehicle`.
-    #[must_use]
     pub const fn new(vehicle: VehicleParameters<P>) -> Self {
         Self { vehicle }
     }
 
     /// The parameters of the vehicle.
-    #[must_use]
     pub const fn vehicle(&self) -> &VehicleParameters<P> {
         &self.vehicle
     }
@@ -126,15 +124,7 @@ impl<P: Number<P>> SingleTrack<P> {
     /// Equation 1 as printed: yaw acceleration and sideslip rate with linear tyres. The
     /// speed must be positive.
     pub fn lateral<N: Number<P>>(&self, motion: &LateralMotion<N>) -> LateralRate<N> {
-        let VehicleParameters {
-            mass_kg: m,
-            yaw_inertia_kg_m2: i_z,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = self.vehicle;
+        let [m, i_z, l_f, l_r, c_f, c_r] = self.vehicle.symbols();
         let LateralMotion {
             yaw_rate,
             sideslip,
@@ -159,7 +149,6 @@ impl SingleTrack {
     ///
     /// Stiff at low speed (modes near -150/v and -72/v) and singular at v = 0:
     /// see [`crate::RelaxedSingleTrack`] for a car that starts and stops.
-    #[must_use]
     pub fn derivative(
         &self,
         state: &SingleTrackState,
@@ -228,7 +217,6 @@ pub struct Axles<P = f64> {
 
 impl<P> Axles<P> {
     /// The parameters of the vehicle.
-    #[must_use]
     pub const fn vehicle(&self) -> &VehicleParameters<P> {
         &self.vehicle
     }
@@ -236,7 +224,6 @@ impl<P> Axles<P> {
 
 impl<P: Number<P>> Axles<P> {
     /// The axles of `vehicle` with `tyres`, for small angles.
-    #[must_use]
     pub fn new(vehicle: VehicleParameters<P>, tyres: Tyres) -> Self {
         let VehicleParameters {
             mass_kg: m,
@@ -406,7 +393,6 @@ pub struct RelaxedSingleTrack {
 
 impl RelaxedSingleTrack {
     /// The model of `vehicle`.
-    #[must_use]
     pub fn new(vehicle: VehicleParameters) -> Self {
         Self::with_axles(Axles::new(vehicle, Tyres::Saturating))
     }
@@ -418,14 +404,12 @@ impl RelaxedSingleTrack {
     }
 
     /// The parameters of the vehicle.
-    #[must_use]
     pub const fn vehicle(&self) -> &VehicleParameters {
         self.axles.vehicle()
     }
 
     /// The derivative at a speed of G (m/s, reverse negative) and a steering
     /// angle (rad, left positive).
-    #[must_use]
     pub fn derivative(
         &self,
         state: &SingleTrackState,

@@ -57,20 +57,17 @@ impl SteeringTable {
     }
 
     /// Its pairs.
-    #[must_use]
     pub fn pairs(&self) -> &[[f64; 2]] {
         &self.0
     }
 
     /// The angle of the front wheels at a pulse, in rad.
-    #[must_use]
     pub fn angle(&self, pulse_us: f64) -> f64 {
         interpolate(&self.0, pulse_us)
     }
 
     /// The pulse for an angle of the front wheels, in µs: the middle of a dead band, and the
     /// inner end of a stop; what is not finite stays as it is.
-    #[must_use]
     pub fn pulse(&self, angle_rad: f64) -> f64 {
         if !angle_rad.is_finite() {
             return angle_rad;
@@ -79,21 +76,9 @@ impl SteeringTable {
         let angle_rad = angle_rad.clamp(least, most);
         let [first, last] = self.ends();
         // Whether the wheels reach the angle at this pulse, from the first pair on.
-        let rises = first[1] < last[1];
-        let is_before = |angle: f64| {
-            if rises {
-                angle < angle_rad
-            } else {
-                angle > angle_rad
-            }
-        };
-        let is_behind = |angle: f64| {
-            if rises {
-                angle > angle_rad
-            } else {
-                angle < angle_rad
-            }
-        };
+        let sense = if first[1] < last[1] { 1.0 } else { -1.0 };
+        let is_before = |angle: f64| sense * angle < sense * angle_rad;
+        let is_behind = |angle: f64| sense * angle > sense * angle_rad;
         let from = self.0.partition_point(|pair| is_before(pair[1]));
         let to = self.0.partition_point(|pair| !is_behind(pair[1]));
         let crossing = |place: usize| match (place.checked_sub(1), self.0.get(place)) {
@@ -116,7 +101,6 @@ impl SteeringTable {
     }
 
     /// The least and the greatest angle that it reaches, in rad.
-    #[must_use]
     pub fn reach(&self) -> [f64; 2] {
         let [[_, one], [_, other]] = self.ends();
         [one.min(other), one.max(other)]
@@ -169,7 +153,6 @@ impl From<SteeringTable> for Pairs {
 
 /// The value at `x` of straight lines between pairs of x and value, in the order of x; beyond
 /// the ends that of the end, and 0 without pairs.
-#[must_use]
 pub fn interpolate(pairs: &[[f64; 2]], x: f64) -> f64 {
     let after = pairs.partition_point(|[at, _]| *at <= x);
     let before = after.checked_sub(1).and_then(|place| pairs.get(place));
@@ -199,7 +182,6 @@ pub struct SteeringMap {
 
 impl SteeringMap {
     /// The angle of the front wheels at a pulse, in rad.
-    #[must_use]
     pub fn angle(&self, pulse_us: f64) -> f64 {
         match &self.table {
             Some(table) => table.angle(pulse_us),
@@ -209,7 +191,6 @@ impl SteeringMap {
 
     /// The angle to command the board for this one of the front wheels, both in rad; what is not
     /// finite stays as it is.
-    #[must_use]
     pub fn commanded(&self, wheels_rad: f64) -> f64 {
         match &self.table {
             Some(table) => (table.pulse(wheels_rad) - self.centre_us) / self.gain_us_per_rad,

@@ -52,7 +52,6 @@ impl Clone for TrackingLoop {
 impl TrackingLoop {
     /// The commanded velocity of P (m/s) when P is at `point` (m); none for a loop with a state,
     /// which needs a tick.
-    #[must_use]
     pub fn velocity(&self, reference: &ReferencePoint, point: &Position) -> Option<Velocity> {
         match self {
             Self::Proportional(tracking) => Some(tracking.velocity(reference, point)),
@@ -62,7 +61,6 @@ impl TrackingLoop {
     }
 
     /// The proportional gains, per second; none for a loop without such gains.
-    #[must_use]
     pub const fn gain(&self) -> Option<Velocity> {
         match self {
             Self::Proportional(tracking) => Some(tracking.gain),

@@ -43,9 +43,22 @@ pub struct VehicleParameterError {
     pub value: f64,
 }
 
+impl<P: Copy> VehicleParameters<P> {
+    /// The paper's symbols for them, without friction: `m`, `I_z`, `l_f`, `l_r`, `C_f` and `C_r`.
+    pub const fn symbols(&self) -> [P; 6] {
+        [
+            self.mass_kg,
+            self.yaw_inertia_kg_m2,
+            self.front_axle_distance_m,
+            self.rear_axle_distance_m,
+            self.front_cornering_stiffness_n_rad,
+            self.rear_cornering_stiffness_n_rad,
+        ]
+    }
+}
+
 impl VehicleParameters {
     /// The 1:10 car of the paper (table "Experimental Platform Data").
-    #[must_use]
     pub const fn paper() -> Self {
         Self {
             mass_kg: 1.9,
@@ -59,20 +72,17 @@ impl VehicleParameters {
     }
 
     /// Distance between the axles, `l_f + l_r`, in m.
-    #[must_use]
     pub const fn wheelbase_m(&self) -> f64 {
         self.front_axle_distance_m + self.rear_axle_distance_m
     }
 
     /// Length of the body, in m, if it has the paper's car's for its wheelbase.
-    #[must_use]
     pub const fn body_length_m(&self) -> f64 {
         LENGTH_PER_WHEELBASE * self.wheelbase_m()
     }
 
     /// Width of the body, in m, if it has the usual one of a 1:10 car of this length. It is for
     /// drawings only.
-    #[must_use]
     pub const fn body_width_m(&self) -> f64 {
         WIDTH_PER_LENGTH * self.body_length_m()
     }

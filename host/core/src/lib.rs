@@ -42,9 +42,7 @@ pub use explain::{certificate, commissioned, diagnosis, feasibility, reasons, to
 pub use host::{Host, HostOptions, VirtualHost};
 pub use run::proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
 pub use run::report::{LineCounters, Report, link_phase, pilot_event};
-pub use run::requests::{
-    ControlRequest, Reconfiguration, ReconfigureError, Refusal, Requests, Stalled,
-};
+pub use run::requests::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled};
 pub use run::{
     cameras, control_loop, controller, grid, host, line, online_calibration, reconfigure, serial,
     setpoint, slot, state_stream,

@@ -8,7 +8,7 @@
 
 use std::{fs, path::Path};
 
-use singletrack_core::config::{Config, ConfigError};
+use singletrack_core::config::Config;
 
 const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
 
@@ -624,8 +624,8 @@ fn every_path_that_is_not_a_text_file_is_reported_with_its_kind() {
         (path("long"), ["long", "1048577 bytes", "the right file?"]),
     ] {
         let error = Config::read(&path).unwrap_err();
-        assert!(matches!(error, ConfigError::Read { .. }));
         let message = error.to_string();
+        assert!(message.starts_with("can't read "), "{message:?}");
         for part in parts {
             assert!(message.contains(part), "no {part:?} in {message:?}");
         }

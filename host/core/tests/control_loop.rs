@@ -9,7 +9,7 @@
 
 use singletrack_control::{Setpoint, Time, Velocity};
 use singletrack_core::{
-    Config, ControlRequest, Proofs, ReconfigureError, Refusal,
+    Config, ControlRequest, Proofs, Refusal,
     config::{OuterLoopSection, ReferenceSection},
     configuration_hash,
     controller::Controller,
@@ -255,7 +255,7 @@ fn a_configuration_does_not_overtake_a_request_to_arm_of_the_same_tick() {
         run(&mut drive, 301, 1);
         let outcome = drive.outcome();
         assert!(
-            matches!(outcome, Err(Refusal::Pilot(ReconfigureError::Underway(_)))),
+            matches!(outcome, Err(Refusal::Underway(_))),
             "{request:?}: {outcome:?}"
         );
     }
@@ -299,10 +299,7 @@ fn a_car_that_drives_keeps_its_configuration() {
     drive.reconfigure(config, u64::MAX);
     let modes = run(&mut drive, start, 50);
     let outcome = drive.outcome();
-    assert!(
-        matches!(outcome, Err(Refusal::Pilot(ReconfigureError::Underway(_)))),
-        "{outcome:?}"
-    );
+    assert!(matches!(outcome, Err(Refusal::Underway(_))), "{outcome:?}");
     assert_eq!(modes, [Mode::Driving]);
 }
 

@@ -9,7 +9,7 @@ use rtrb::{Consumer, RingBuffer};
 use singletrack_api::Status;
 use singletrack_core::{
     cameras::{CameraReceiver, CameraReport, Channel, Sockets, StreamEvent},
-    diagnosis::{DIAGNOSES, Diagnosis},
+    diagnosis::Diagnosis,
     reasons::Why,
 };
 use singletrack_mocap::{
@@ -20,6 +20,31 @@ use singletrack_mocap::{
     },
 };
 use singletrack_sim::{LossWindow, SimulationConfig, World};
+
+/// Every word of a diagnosis, in the order of the checks.
+const DIAGNOSES: [&str; 18] = [
+    "starting",
+    "good",
+    "no-server",
+    "other-address",
+    "unsupported-version",
+    "other-transport",
+    "no-frames",
+    "two-senders",
+    "unreadable-names",
+    "no-such-body",
+    "ambiguous-body",
+    "body-absent",
+    "untracked",
+    "up-axis",
+    "rejected",
+    "wrong-clock",
+    "late-poses",
+    "low-rate",
+];
+
+/// The age up to which a pose is good, in s.
+const FRESH: f64 = 0.05;
 
 const HOST: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 40_000);
 const SERVER: Ipv4Addr = Ipv4Addr::new(10, 0, 0, 2);
@@ -86,6 +111,8 @@ impl Scene {
                 Arc::default(),
                 observations,
                 reports_in,
+                None,
+                FRESH,
             ),
             reports,
             network,
@@ -527,7 +554,14 @@ fn diagnosed(stamp_us: impl Fn(u64) -> u64) -> (String, String) {
     config.session.protocol = Protocol::Vrpn { sensor: 0 };
     config.session.command_port = config.session.protocol.default_port();
     let session = PlanarSession::new(config).unwrap();
-    let mut receiver = CameraReceiver::new(session, Arc::default(), observations, reports_in);
+    let mut receiver = CameraReceiver::new(
+        session,
+        Arc::default(),
+        observations,
+        reports_in,
+        None,
+        FRESH,
+    );
     let mut server = Server::default();
     let mut found = (String::new(), String::new());
     for ms in 0..10_000 {

@@ -203,7 +203,9 @@ fn what_may_begin_is_not_stopped_at_the_fence_in_its_first_metre() {
 fn a_car_that_stands_elsewhere_is_told_a_place_near_it_from_which_it_can_drive() {
     let mut config = own();
     config.reference = circle(0.85, 0.5);
-    config.reference.start_at(Start::Nearest);
+    if let ReferenceSection::Circle { start, .. } = &mut config.reference {
+        *start = Start::Nearest;
+    }
     // Across the circle, at its far side.
     let here = Stand {
         x_m: -0.5,

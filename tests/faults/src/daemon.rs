@@ -10,7 +10,7 @@ use std::{
 };
 
 use singletrack_core::{
-    HostOptions, VirtualHost,
+    ControlRequest, HostOptions, VirtualHost,
     config::Config,
     line::{Line, OutputQueue, PortRead, Sent},
     reconfigure::CHANGE_TIMEOUT_NS,
@@ -93,7 +93,8 @@ impl Daemon {
 
     /// Arms a car that waits until `begin_ns`. Without room, it is not armed.
     pub(crate) fn arm_at(&self, begin_ns: u64) {
-        let _ = self.host.arm_at(begin_ns);
+        let request = ControlRequest::ArmAt(begin_ns);
+        let _ = self.host.parts().requests.push(request);
     }
 
     /// Sends values to tune, as a client of the control socket. A refusal has no effect.

@@ -39,8 +39,9 @@ fn diagnoses(section: &MotionCaptureSection, within: Duration) -> Vec<Diagnosis>
     let (observations, _observed) = RingBuffer::new(4_096);
     let (reports_in, mut reports) = RingBuffer::new(4_096);
     let session = PlanarSession::new(section.session().unwrap()).unwrap();
+    let offset_ns = std::sync::Arc::default();
     let mut receiver =
-        CameraReceiver::new(session, std::sync::Arc::default(), observations, reports_in);
+        CameraReceiver::new(session, offset_ns, observations, reports_in, None, 0.05);
     let mut sockets = MocapSockets::open(section).unwrap();
     let until_ns = monotonic_ns() + within.as_nanos() as u64;
     let mut found = Vec::new();

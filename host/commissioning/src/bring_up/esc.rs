@@ -5,12 +5,12 @@ use singletrack_protocol::JOG_LIMIT_US;
 
 use super::{
     car::{Car, armed},
-    questions::{self, ask, ask_yes, change},
+    questions::{ask_yes, ready},
     spin::{CREEPS, beyond, way},
 };
 use crate::{
-    Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble,
-    finding::{failed, require},
+    Bench, BoardReading, Finding, Interval, Jog, Parameter, Trouble,
+    finding::{change, failed, keys, require},
 };
 
 /// Time for which an armed board holds neutral, s.
@@ -21,9 +21,6 @@ const CUT_WITHIN_S: f64 = 6.0;
 
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
-
-pub(super) const KILL: Step = Step::new("kill", "The kill switch of the ESC's supply", find_kill)
-    .expecting("The supply of the ESC can be cut, also while its pulse drives the motor.");
 
 pub(super) fn find_kill(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if bench.configuration().board.kill_output {
@@ -36,7 +33,10 @@ pub(super) fn find_kill(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 fn by_board(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     const WIRING: &str = "Check the wiring of the kill output (pin D7) and of its relay, which is \
                           normally open: docs/uno.md.";
-    let dark = |bench: &mut dyn Bench| ask_yes(bench, &questions::ESC_DARK);
+    let dark = |bench: &mut dyn Bench| {
+        let text = "The car is disarmed. Is the ESC off: no light, no sound?";
+        ask_yes(bench, "esc-dark", text)
+    };
     let found = "the ESC has its supply although the kill output is off";
     require(dark(bench)?, found, WIRING)?;
     let power = armed(bench, |car| {
@@ -46,8 +46,9 @@ fn by_board(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     })?;
     let found = "the armed board does not hold its kill output";
     require(power, found, "Load the image again: `cargo uno`.")?;
-    let found = "the armed board does not switch the ESC on";
-    require(ask_yes(bench, &questions::ESC_WOKE)?, found, WIRING)?;
+    let text = "The car was armed until a moment ago. Was the ESC on during that time?";
+    let woke = ask_yes(bench, "esc-woke", text)?;
+    require(woke, "the armed board does not switch the ESC on", WIRING)?;
     let found = "the ESC keeps its supply after the board was disarmed";
     require(dark(bench)?, found, WIRING)?;
     let found = "the ESC is on while the board is armed, and off before and after";
@@ -57,15 +58,21 @@ fn by_board(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 fn by_hand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     const NONE: &str = "Wire the kill output (docs/uno.md) and set board.kill_output, or put a \
                         switch that you reach at any time into the supply of the ESC.";
-    if !ask_yes(bench, &questions::KILL_SWITCH)? {
+    let text = "Can you cut the supply of the ESC without the board: a radio relay, a plug that \
+                you reach with the wheels turning?";
+    if !ask_yes(bench, "kill-switch", text)? {
         let found = "nothing but the pulses on one wire stops the motor";
         return Ok(Finding::warning(found, NONE));
     }
-    ask(bench, &questions::CUT_SUPPLY)?;
+    let request =
+        "The wheels will turn. Cut the supply of the ESC a second after they begin. Ready?";
+    ready(bench, "cut-supply", request)?;
     let spun = armed(bench, |car| {
         car.spin_for_hand(FROM_US, CUT_WITHIN_S, "cut the supply")
     })?;
-    ask(bench, &questions::RESTORE_SUPPLY)?;
+    let request =
+        "Switch the supply of the ESC on again, and wait until the ESC has started. Done?";
+    ready(bench, "restore-supply", request)?;
     let found =
         format!("the motor kept turning for {CUT_WITHIN_S} s: the kill switch does not cut it");
     require(spun.stopped_under_drive(), found, NONE)?;
@@ -87,18 +94,12 @@ fn roll_down(readings: &[BoardReading], speed: f64) -> f64 {
     }
 }
 
-/// The step, watching for `SECONDS` in each order of switching on.
-pub(super) const fn neutral_with<const SECONDS: u32>() -> Step {
-    let find = |bench: &mut dyn Bench| find_neutral(bench, SECONDS.into());
-    Step::new("esc-neutral", "The ESC at neutral", find).expecting(
-        "No pulse of the motor at neutral, with the ESC switched on before and after the board.",
-    )
-}
-
 /// Most milliseconds of this step in which the board may refuse edges of the sensor.
 const REFUSED: u16 = 2;
 
-fn find_neutral(bench: &mut dyn Bench, seconds: f64) -> Result<Finding, Trouble> {
+/// Watches for `SECONDS` in each order of switching on.
+pub(super) fn find_neutral<const SECONDS: u32>(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let seconds = f64::from(SECONDS);
     let orders = if bench.configuration().board.kill_output {
         // The board starts the ESC: there is one order.
         let readings = armed(bench, |car| {
@@ -109,11 +110,14 @@ fn find_neutral(bench: &mut dyn Bench, seconds: f64) -> Result<Finding, Trouble>
         check_still(bench)?;
         "the board starts the ESC"
     } else {
-        for (question, order) in [
-            (questions::ESC_AFTER_BOARD, "after the board"),
-            (questions::BOARD_AFTER_ESC, "before the board"),
+        let after = "Switch the ESC off. Press the reset of the board, wait for three seconds, \
+                     switch the ESC on. Done?";
+        let before = "Leave the ESC on, and press the reset of the board. Done?";
+        for (id, request, order) in [
+            ("esc-after-board", after, "after the board"),
+            ("board-after-esc", before, "before the board"),
         ] {
-            ask(bench, &question)?;
+            ready(bench, id, request)?;
             let mut car = Car::look(bench)?;
             let readings = watch_sensor(&mut car, |car| car.watch(seconds, "at neutral"))?;
             check_neutral(&readings, order)?;
@@ -157,14 +161,12 @@ fn check_neutral(readings: &[BoardReading], order: &str) -> Result<(), Trouble> 
 }
 
 fn check_still(bench: &mut dyn Bench) -> Result<(), Trouble> {
-    let is_still = ask_yes(bench, &questions::WHEELS_STILL)?;
+    let text = "Did the driven wheels stand still all the time?";
+    let is_still = ask_yes(bench, "wheels-still", text)?;
     let found = "the wheels turned at neutral, and no motor pulse came";
     let fix = "Calibrate the neutral of the ESC as its manual says. Check the pulse sensor.";
     require(is_still, found, fix)
 }
-
-pub(super) const KIND: Step = Step::new("esc-kind", "What a pulse below neutral does", find_kind)
-    .expecting("board.esc.kind says what a pulse below neutral does.");
 
 /// The speeds that the pulses below neutral would settle at if they drove, m/s: at rest, and at
 /// speed with an ESC that has reverse, which should brake well. The board ends a jog beyond
@@ -217,7 +219,7 @@ impl Seen {
     }
 }
 
-fn find_kind(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn find_kind(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let esc = bench.configuration().board.esc;
     let feed_forward = f64::from(bench.configuration().board.speed.feed_forward_us_per_m_s);
     let pulse_of = |speed: f64| {
@@ -253,25 +255,19 @@ fn find_kind(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let fix = "None, if board.esc.kind is left out: no pulse below neutral is ever sent.";
         return Ok(Finding::warning(found, fix));
     };
-    let kind_key = ("board.esc.kind", kind.into());
-    if kind == "forward-reverse" {
-        change(bench, std::slice::from_ref(&kind_key))?;
-    } else {
-        let brake = ("board.esc.brake_us", i64::from(brake_us).into());
-        change(bench, &[kind_key.clone(), brake])?;
-    }
-    let finding = match bench.configuration().board.esc.kind {
-        Some(_) => Finding::good(format!("\"{kind}\": {found}")),
-        None => {
-            let found = "board.esc.kind was not written";
-            return Err(failed(found, "Write it by hand."));
-        }
-    };
     let mut kinds = ["car", "forward-reverse", "vesc"].into_iter();
     let number = kinds.position(|name| name == kind).unwrap_or(0);
     let number = Interval::around(number as f64, 0.0);
-    let parameter = Parameter::new("esc-kind", "", number, Some(kind_key));
-    Ok(finding.with(vec![parameter]))
+    let parameters = vec![Parameter::new("esc-kind", "", number).written("board.esc.kind", kind)];
+    let mut values = keys(&parameters);
+    if kind != "forward-reverse" {
+        values.push(("board.esc.brake_us", i64::from(brake_us).into()));
+    }
+    change(bench, &values)?;
+    let is_written = bench.configuration().board.esc.kind.is_some();
+    let fix = "Write it by hand.";
+    require(is_written, "board.esc.kind was not written", fix)?;
+    Ok(Finding::good(format!("\"{kind}\": {found}")).with(parameters))
 }
 
 const fn turned(turned: bool) -> &'static str {

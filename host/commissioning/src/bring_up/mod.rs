@@ -19,12 +19,12 @@ mod stops;
 
 use self::{
     car::{Car, armed},
-    questions::{ask_yes, change},
+    questions::ask_yes,
     spin::mean_speed,
 };
 use crate::{
     Bench, BoardReading, Finding, Inertial, Plot, PlotKind, PlotLine, Step, Trouble, Verdict,
-    finding::{failed, keys, require},
+    finding::{change, failed, keys, require},
     imu_noise::{Comparison, NoiseLevel, compare},
 };
 
@@ -35,33 +35,81 @@ pub const STEPS: &[Step] = &steps_with::<60>();
 /// The steps; the ESC is watched at neutral for `NEUTRAL_S` seconds in each order.
 pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
     [
-        STAND,
-        esc::KILL,
-        esc::neutral_with::<NEUTRAL_S>(),
-        steering::DIRECTION,
-        steering::CENTRE,
-        steering::STOPS,
-        steering::GAIN,
-        motor::DIRECTION,
-        motor::MAP,
-        esc::KIND,
-        stops::SILENCE,
-        stops::DISARM,
-        stops::SWITCH,
-        stops::RESET,
-        stops::UNPLUG,
-        stops::EMERGENCY,
+        Step::new("stand", "The car on its stand", find_stand).expecting(
+            "All wheels are clear of the floor, the cameras see the car, and it stands still.",
+        ),
+        Step::new(
+            "kill",
+            "The kill switch of the ESC's supply",
+            esc::find_kill,
+        )
+        .expecting("The supply of the ESC can be cut, also while its pulse drives the motor."),
+        Step::new(
+            "esc-neutral",
+            "The ESC at neutral",
+            esc::find_neutral::<NEUTRAL_S>,
+        )
+        .expecting(
+            "No pulse of the motor at neutral, with the ESC switched on before and after the \
+             board.",
+        ),
+        Step::new(
+            "servo-direction",
+            "Direction of the servo",
+            steering::direction,
+        )
+        .expecting(
+            "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
+        ),
+        Step::new("servo-centre", "Centre of the servo", steering::centre)
+            .expecting("The front wheels point straight on at board.servo.centre_us."),
+        Step::new("servo-stops", "End stops of the servo", steering::stops)
+            .expecting("From board.servo.min_us to max_us the servo reaches no mechanical stop."),
+        Step::new("servo-gain", "Gain of the servo", steering::gain)
+            .expecting("The angle of the front wheels follows board.servo.gain_us_per_rad."),
+        Step::new(
+            "motor-direction",
+            "Direction of the motor",
+            motor::direction,
+        )
+        .expecting("A pulse above neutral drives forward, and the motor's pulses count."),
+        Step::new("motor-map", "Deadband and speeds of the motor", motor::map).expecting(
+            "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
+        ),
+        Step::new(
+            "esc-kind",
+            "What a pulse below neutral does",
+            esc::find_kind,
+        )
+        .expecting("board.esc.kind says what a pulse below neutral does."),
+        Step::new("stop-silence", "Stop: no more jogs", stops::silence).expecting(
+            "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and \
+             0.2 s.",
+        ),
+        Step::new("stop-disarm", "Stop: disarm", stops::disarm).expecting(
+            "Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
+        ),
+        Step::new("stop-switch", "Stop: the stop switch", stops::switch).expecting(
+            "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
+        ),
+        Step::new("stop-reset", "Stop: reset of the board", stops::reset)
+            .expecting("A reset of the board stops the motor at once."),
+        Step::new("stop-unplug", "Stop: the cable", stops::unplug)
+            .expecting("A pulled cable stops the motor at once."),
+        Step::new("stop-emergency", "Stop: emergency stop", stops::emergency).expecting(
+            "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within \
+             0.2 s.",
+        ),
     ]
 }
 
 /// Time for which the car must be at rest, s.
 const WATCHED_S: f64 = 2.0;
 
-const STAND: Step = Step::new("stand", "The car on its stand", find_stand)
-    .expecting("All wheels are clear of the floor, the cameras see the car, and it stands still.");
-
 fn find_stand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let is_on_stand = ask_yes(bench, &questions::ON_STAND)?;
+    let text = "Put the car on a stand in view of the cameras, all wheels clear of everything, and \
+                take your hands off. Does it stand so?";
+    let is_on_stand = ask_yes(bench, "on-stand", text)?;
     let fix = "Put a box under the chassis so that all wheels turn freely.";
     require(is_on_stand, "the car is not on a stand", fix)?;
     let mut car = Car::look(bench)?;
@@ -73,13 +121,6 @@ fn find_stand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     require(!turns, found, fix)?;
     Ok(Finding::good("the car stands still in view of the cameras"))
 }
-
-pub(super) const IMU_NOISE: Step = Step::new(
-    "imu-noise",
-    "IMU: its noise with the wheels turning",
-    find_imu_noise,
-)
-.expecting("The noise at every speed is at most 1.3 times what [estimator] believes.");
 
 /// Time at rest, s.
 const REST_S: f64 = 15.0;
@@ -93,7 +134,7 @@ const RUNS: usize = 3;
 const SETTLE_S: f64 = 1.0;
 const MEASURE_S: f64 = 4.0;
 
-fn find_imu_noise(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn find_imu_noise(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     // In every run: the car may have been put down after an interruption.
     find_stand(bench)?;
     let kill = esc::find_kill(bench)?;

@@ -10,26 +10,18 @@ use singletrack_protocol::{JOG_LIMIT_US, StopCause};
 
 use super::{
     car::{Car, armed},
-    questions::{self, WAYS, ask_word, change},
+    questions::ask_word,
     spin::{CREEPS, SPIN_M_S, beyond, mean_speed, never_turned, way},
 };
 use crate::{
-    Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble,
-    finding::failed,
+    Bench, BoardReading, Finding, Interval, Jog, Parameter, Trouble,
+    finding::{change, failed, keys},
     fit::{
         LeastSquares,
         drive_train::{SpeedCurve, fit_speed_curve},
         least_squares, mean, standard_deviation,
     },
 };
-
-pub(super) const DIRECTION: Step =
-    Step::new("motor-direction", "Direction of the motor", direction)
-        .expecting("A pulse above neutral drives forward, and the motor's pulses count.");
-pub(super) const MAP: Step = Step::new("motor-map", "Deadband and speeds of the motor", map)
-    .expecting(
-        "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
-    );
 
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
@@ -91,7 +83,7 @@ const LATE_S: [f64; 7] = [0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12];
 /// The widest band that an ESC ignores, to one side, us.
 const WIDEST_US: f64 = 60.0;
 
-fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let turned = armed(bench, |car| {
         let Some(jog) = car.spin_from(FROM_US, SPIN_M_S)? else {
             return Ok(None);
@@ -108,7 +100,9 @@ fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         }) => None,
         turned => turned?,
     };
-    let seen = ask_word(bench, &questions::DRIVEN_WHEELS, WAYS)?;
+    let text = "How did the driven wheels turn just now: as for driving forward, or backward?";
+    let ways = &["forward", "backward", "stood"];
+    let seen = ask_word(bench, "driven-wheels", text, ways)?;
     match (turned, seen) {
         (Some(pulse_us), "forward") => Ok(Finding::good(format!(
             "forward at {pulse_us} us, and the pulses count"
@@ -140,7 +134,7 @@ enum Below {
     Nothing,
 }
 
-fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let (ahead, below) = armed(bench, |car| {
         let ahead = curve(car, true)?.ok_or_else(never_turned)?;
         let below = match curve(car, false)? {
@@ -203,16 +197,18 @@ fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let feed_forward = ahead
         .feed_forward
         .widened(CHARGE * ahead.feed_forward.value);
-    let integer = |value: f64| toml_edit::Value::from(value as i64);
-    let keys = [
-        ("board.esc.neutral_us", integer(neutral_us)),
-        ("board.esc.deadband_us", integer(band)),
-        (
+    let feed_forward_us = feed_forward.value.round().clamp(0.0, 5_000.0);
+    let parameters = vec![
+        Parameter::new("esc-neutral", "us", neutral)
+            .written("board.esc.neutral_us", neutral_us as i64),
+        Parameter::new("esc-deadband", "us", deadband)
+            .written("board.esc.deadband_us", band as i64),
+        Parameter::new("feed-forward", "us/(m/s)", feed_forward).written(
             "board.speed.feed_forward_us_per_m_s",
-            integer(feed_forward.value.round().clamp(0.0, 5_000.0)),
+            feed_forward_us as i64,
         ),
     ];
-    change(bench, &keys)?;
+    change(bench, &keys(&parameters))?;
     let found = format!(
         "{how}: neutral {:.1} us (known to {:.1}), deadband {:.1} us (known to {:.1}), {:.0} us per m/s at \
          {AT_SPEED} m/s; the speeds are within {:.1} us of their curve",
@@ -223,20 +219,9 @@ fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         feed_forward.value,
         ahead.scatter
     );
-    let [neutral_key, deadband_key, feed_forward_key] = keys;
     let fix = "The speed is not steady at a steady pulse: does the drive train drag, or D2 pick up \
                interference?";
-    let finding = Finding::warning_if(ahead.scatter > 4.0, found, fix);
-    Ok(finding.with(vec![
-        Parameter::new("esc-neutral", "us", neutral, Some(neutral_key)),
-        Parameter::new("esc-deadband", "us", deadband, Some(deadband_key)),
-        Parameter::new(
-            "feed-forward",
-            "us/(m/s)",
-            feed_forward,
-            Some(feed_forward_key),
-        ),
-    ]))
+    Ok(Finding::warning_if(ahead.scatter > 4.0, found, fix).with(parameters))
 }
 
 /// With a value of zero that is known before to ±`bound` in 95 of 100 cases.

@@ -5,12 +5,12 @@
 
 use super::{
     car::{Car, armed},
-    questions::{self, SIDES, ask_number, ask_word, ask_yes, change},
+    questions::{ask, ask_word, ask_yes},
 };
 use crate::{
-    Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble,
+    Answer, Answers, Bench, BoardReading, Finding, Interval, Jog, Parameter, Trouble,
     calibrate::bends::straight_line,
-    finding::{failed, require},
+    finding::{change, failed, keys, require},
     fit::wheels::{Steering, fit_steering},
 };
 
@@ -51,17 +51,6 @@ const READING_RAD: f64 = 0.0175;
 
 /// Scale error of the readings: parallax, and the linkage's curve.
 const SCALE: f64 = 0.02;
-
-pub(super) const DIRECTION: Step =
-    Step::new("servo-direction", "Direction of the servo", direction).expecting(
-        "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
-    );
-pub(super) const CENTRE: Step = Step::new("servo-centre", "Centre of the servo", centre)
-    .expecting("The front wheels point straight on at board.servo.centre_us.");
-pub(super) const STOPS: Step = Step::new("servo-stops", "End stops of the servo", stops)
-    .expecting("From board.servo.min_us to max_us the servo reaches no mechanical stop.");
-pub(super) const GAIN: Step = Step::new("servo-gain", "Gain of the servo", gain)
-    .expecting("The angle of the front wheels follows board.servo.gain_us_per_rad.");
 
 /// Moves the servo and leaves it there.
 fn turn_to(bench: &mut dyn Bench, pulse_us: u16) -> Result<(), Trouble> {
@@ -104,19 +93,19 @@ fn swapped(car: &mut Car<'_>, jog: Jog) -> Trouble {
     failed(found, fix)
 }
 
-fn direction_of(side: &str) -> i32 {
-    match side {
+/// The side to which the front wheels point now, left positive.
+fn see(bench: &mut dyn Bench) -> Result<i32, Trouble> {
+    let text = "Look from behind the car, in the direction of driving: where do the front wheels \
+                point?";
+    let side = ask_word(bench, "front-wheels", text, &["left", "straight", "right"])?;
+    Ok(match side {
         "left" => 1,
         "right" => -1,
         _ => 0,
-    }
+    })
 }
 
-fn see(bench: &mut dyn Bench) -> Result<i32, Trouble> {
-    ask_word(bench, &questions::FRONT_WHEELS, SIDES).map(direction_of)
-}
-
-fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let servo = bench.configuration().board.servo;
     let believed = i32::from(servo.gain_us_per_rad).signum();
     let centre = i32::from(servo.centre_us);
@@ -145,7 +134,7 @@ fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         return Ok(Finding::good(found));
     }
     let gain = -i64::from(servo.gain_us_per_rad);
-    change_servo(bench, &[("board.servo.gain_us_per_rad", gain)])?;
+    change_servo(bench, vec![("board.servo.gain_us_per_rad", gain.into())])?;
     let found = format!("{found}; board.servo.gain_us_per_rad had the other sign");
     Ok(Finding::warning(found, "None: its sign was changed."))
 }
@@ -201,7 +190,7 @@ fn find_straight(bench: &mut dyn Bench, begin: i32, from: i32) -> Result<[f64; 2
     Ok(edges)
 }
 
-fn centre(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn centre(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let servo = bench.configuration().board.servo;
     let up = find_straight(bench, servo.centre_us.into(), -1)?;
     let middle = f64::midpoint(up[0], up[1]);
@@ -213,21 +202,22 @@ fn centre(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let half = EYE_RAD * gain + play / 2.0 + f64::from(CENTRE_STEPS_US[3]) / 2.0;
     let centre_us = limited(servo.min_us, servo.max_us, centre.round() as i32);
     turn_to(bench, centre_us)?;
-    let key = ("board.servo.centre_us", i64::from(centre_us));
-    change_servo(bench, &[key])?;
     let estimate = Interval::around(centre, half);
-    let parameter = Parameter::new("servo-centre", "us", estimate, Some((key.0, key.1.into())));
+    let parameters = vec![
+        Parameter::new("servo-centre", "us", estimate)
+            .written("board.servo.centre_us", i64::from(centre_us)),
+    ];
+    change_servo(bench, keys(&parameters))?;
     let wide = (up[1] - up[0]).abs().max((down[1] - down[0]).abs());
     let found = format!(
         "straight on at {centre:.0} us, known to {half:.0} us; it looks straight over {wide:.0} us, and \
          from the other side {play:.0} us beside"
     );
     let fix = "Reduce the play of the steering: the linkage, the servo's horn, the servo saver.";
-    let finding = Finding::warning_if(play > 30.0, found, fix);
-    Ok(finding.with(vec![parameter]))
+    Ok(Finding::warning_if(play > 30.0, found, fix).with(parameters))
 }
 
-fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let servo = bench.configuration().board.servo;
     let centre = i32::from(servo.centre_us);
     let touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
@@ -237,7 +227,11 @@ fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             turn(car, pulse_us, TURN_US_PER_S)?;
             turn(car, back, TURN_US_PER_S)
         })?;
-        ask_yes(bench, &questions::at_stop(pulse_us))
+        let text = format!(
+            "The servo was at {pulse_us} us for a moment. Did it buzz, or did the wheels not \
+             follow to the end?"
+        );
+        ask_yes(bench, "at-stop", text)
     };
     let mut limits = [(i32::from(servo.min_us), None), (servo.max_us.into(), None)];
     for ((limit, stop), sign) in limits.iter_mut().zip([-1, 1]) {
@@ -276,18 +270,16 @@ fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let fix =
         "Turn the servo's horn by a tooth so that the wheels stand straight at about 1500 us.";
     require(is_free, found, fix)?;
-    let keys = [
-        ("board.servo.min_us", i64::from(min)),
-        ("board.servo.max_us", i64::from(max)),
-    ];
-    change_servo(bench, &keys)?;
-    let [min_key, max_key] = keys;
-    let parameter = |name, free: i32, stop: Option<i32>, key: (&'static str, i64)| {
-        let free = f64::from(free);
-        let stop = stop.map_or(free, f64::from);
-        let estimate = Interval::between(free, [free, stop]);
-        Parameter::new(name, "us", estimate, Some((key.0, key.1.into())))
+    let parameter = |name, key, free: i32, stop: Option<i32>| {
+        let at = f64::from(free);
+        let estimate = Interval::between(at, [at, stop.map_or(at, f64::from)]);
+        Parameter::new(name, "us", estimate).written(key, i64::from(free))
     };
+    let parameters = vec![
+        parameter("servo-min", "board.servo.min_us", min, below),
+        parameter("servo-max", "board.servo.max_us", max, above),
+    ];
+    change_servo(bench, keys(&parameters))?;
     let said = |stop: Option<i32>| match stop {
         Some(stop) => format!("stop at {stop} us"),
         None => "no stop".into(),
@@ -297,23 +289,28 @@ fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         said(below),
         said(above)
     ))
-    .with(vec![
-        parameter("servo-min", min, below, min_key),
-        parameter("servo-max", max, above, max_key),
-    ]))
+    .with(parameters))
 }
 
-fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let servo = bench.configuration().board.servo;
     let believed = f64::from(servo.gain_us_per_rad);
     let centre = i32::from(servo.centre_us);
     let range = (centre - i32::from(servo.min_us)).min(i32::from(servo.max_us) - centre);
+    let text = "Read the angle of the front wheels with a protractor, left is positive: the mean \
+                of the left and the right wheel.";
     let mut readings = Vec::new();
     // There and back, so that play cancels.
     for part in READ_AT.into_iter().chain(READ_AT.into_iter().rev()) {
         let pulse = centre + (part * f64::from(range)).round() as i32;
         turn_to(bench, limited(servo.min_us, servo.max_us, pulse))?;
-        let degrees = ask_number(bench, &questions::WHEEL_ANGLE)?;
+        let answers = Answers::Number {
+            unit: "deg",
+            range: [-60.0, 60.0],
+        };
+        let Answer::Number(degrees) = ask(bench, "wheel-angle", text, answers)? else {
+            return Err(Trouble::Skipped);
+        };
         readings.push([f64::from(pulse), degrees.to_radians()]);
     }
     turn_to(bench, servo.centre_us)?;
@@ -338,9 +335,11 @@ fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if !(50.0..=5_000.0).contains(&rounded.abs()) {
         return Err(unread());
     }
-    let key = ("board.servo.gain_us_per_rad", rounded as i64);
-    change_servo(bench, &[key])?;
-    let parameter = Parameter::new("servo-gain", "us/rad", gain, Some((key.0, key.1.into())));
+    let parameters = vec![
+        Parameter::new("servo-gain", "us/rad", gain)
+            .written("board.servo.gain_us_per_rad", rounded as i64),
+    ];
+    change_servo(bench, keys(&parameters))?;
     let found = format!(
         "{:.0} us/rad, {:.0} to {:.0}; the readings scatter by {:.1} degrees and say straight on \
          at {:.0} us",
@@ -351,18 +350,21 @@ fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         straight.value
     );
     let fix = "Read the angles again: run the bring-up with --again.";
-    let finding = Finding::warning_if(scatter > 0.07, found, fix);
-    Ok(finding.with(vec![parameter]))
+    Ok(Finding::warning_if(scatter > 0.07, found, fix).with(parameters))
 }
 
 /// Puts values of the servo in force, and lowers the steering limit to what they reach.
-fn change_servo(bench: &mut dyn Bench, values: &[(&'static str, i64)]) -> Result<(), Trouble> {
+fn change_servo(
+    bench: &mut dyn Bench,
+    mut values: Vec<(&str, toml_edit::Value)>,
+) -> Result<(), Trouble> {
     let config = bench.configuration();
     let servo = config.board.servo;
     let limit = config.limits.max_steering_rad;
     let new = |key: &str, old: i64| {
-        let value = values.iter().find(|(name, _)| name.ends_with(key));
-        value.map_or(old, |(_, value)| *value) as f64
+        let new = values.iter().find(|(name, _)| name.ends_with(key));
+        let new = new.and_then(|(_, value)| value.as_integer());
+        new.unwrap_or(old) as f64
     };
     let reach = |centre: f64, gain: f64, min: f64, max: f64| {
         let rad = (centre - min).min(max - centre) / gain.abs();
@@ -390,17 +392,15 @@ fn change_servo(bench: &mut dyn Bench, values: &[(&'static str, i64)]) -> Result
         limit
     };
     let limited = wanted.min(after);
-    let values = values.iter().map(|(key, value)| (*key, (*value).into()));
-    let mut changed: Vec<(&str, toml_edit::Value)> = values.collect();
     // A table was that of another servo. The calibration measures it again.
     if config.actuators.steering_table.is_some() {
         let line = straight_line(centre_us, gain_us_per_rad, ends_us);
-        changed.push(("actuators.steering_table", line));
+        values.push(("actuators.steering_table", line));
     }
     if (limited - limit).abs() > 1e-9 {
-        changed.push(("limits.max_steering_rad", limited.into()));
+        values.push(("limits.max_steering_rad", limited.into()));
     }
-    change(bench, &changed)
+    change(bench, &values)
 }
 
 fn limited(min_us: u16, max_us: u16, pulse: i32) -> u16 {

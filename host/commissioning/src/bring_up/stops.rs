@@ -10,32 +10,13 @@ use singletrack_protocol::ResetCause;
 
 use super::{
     car::{Car, armed},
-    questions::{self, STOPS, ask, ask_word},
+    questions::{ask_word, ready},
     spin::{SPIN_M_S, Spun, mean_speed},
 };
 use crate::{
-    Bench, BoardReading, Finding, Interval, Parameter, Question, Step, Trouble, Verdict,
+    Bench, BoardReading, Finding, Interval, Parameter, Trouble, Verdict,
     finding::{failed, require},
 };
-
-pub(super) const SILENCE: Step = Step::new("stop-silence", "Stop: no more jogs", silence)
-    .expecting(
-        "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and 0.2 s.",
-    );
-pub(super) const DISARM: Step = Step::new("stop-disarm", "Stop: disarm", disarm)
-    .expecting("Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.");
-pub(super) const SWITCH: Step = Step::new("stop-switch", "Stop: the stop switch", switch)
-    .expecting(
-        "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
-    );
-pub(super) const RESET: Step = Step::new("stop-reset", "Stop: reset of the board", reset)
-    .expecting("A reset of the board stops the motor at once.");
-pub(super) const UNPLUG: Step = Step::new("stop-unplug", "Stop: the cable", unplug)
-    .expecting("A pulled cable stops the motor at once.");
-pub(super) const EMERGENCY: Step = Step::new("stop-emergency", "Stop: emergency stop", emergency)
-    .expecting(
-        "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
-    );
 
 /// From a request to the neutral pulse at most, s.
 const PULSE_WITHIN_S: f64 = 0.2;
@@ -139,33 +120,34 @@ impl Stop {
         require(slower_s <= ESC_WITHIN_S + self.blind_s, &found, ESC_HOLDS)?;
         let ends = [pulse_s - RECORD_S, pulse_s + RECORD_S].map(|end| (end * 1e3).max(0.0));
         let estimate = Interval::between(pulse_s * 1e3, ends);
-        Ok(Finding::good(found).with(vec![Parameter::new(name, "ms", estimate, None)]))
+        Ok(Finding::good(found).with(vec![Parameter::new(name, "ms", estimate)]))
     }
 }
 
-fn silence(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn silence(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stop = armed(bench, |car| {
         let speed = turn(car)?;
         watch(car, speed)
     })?;
-    stop.finding(SILENCE.name, HOLD_S + PULSE_WITHIN_S)
+    stop.finding("stop-silence", HOLD_S + PULSE_WITHIN_S)
 }
 
-fn disarm(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn disarm(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stop = armed(bench, |car| {
         let speed = turn(car)?;
         car.request_disarm()?;
         watch(car, speed)
     })?;
-    stop.finding(DISARM.name, PULSE_WITHIN_S)
+    stop.finding("stop-disarm", PULSE_WITHIN_S)
 }
 
-fn switch(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn switch(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if !bench.configuration().board.stop_input {
         let found = "board.stop_input is false: there is no stop switch";
         return Ok(Finding::new(Verdict::Skipped, found, ""));
     }
-    ask(bench, &questions::OPEN_SWITCH)?;
+    let request = "The wheels will turn. Press the stop switch a second after they begin. Ready?";
+    ready(bench, "open-switch", request)?;
     let mut car = Car::look(bench)?;
     car.arm()?;
     let spun = spin_for_hand(&mut car, "press the stop switch")?;
@@ -181,16 +163,18 @@ fn switch(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     };
     readings.extend(car.watch(WATCHED_S, "stopping")?);
     let stop = evaluate(&mut car, &readings, noticed, spun.last_speed());
-    ask(bench, &questions::CLOSE_SWITCH)?;
-    stop.finding(SWITCH.name, PULSE_WITHIN_S)
+    let request = "Release the stop switch and press the reset of the board. Done?";
+    ready(bench, "close-switch", request)?;
+    stop.finding("stop-switch", PULSE_WITHIN_S)
 }
 
-fn emergency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn emergency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stop = by_request(bench)?;
-    ask(bench, &questions::CLEAR_LATCH)?;
+    let request = "Press the reset of the board: the emergency stop is latched until then. Done?";
+    ready(bench, "clear-latch", request)?;
     // A bootloader may wait for longer than the operator.
     unlatched(bench)?;
-    stop.finding(EMERGENCY.name, PULSE_WITHIN_S)
+    stop.finding("stop-emergency", PULSE_WITHIN_S)
 }
 
 /// Waits until the board has been reset and is configured again.
@@ -225,9 +209,11 @@ fn spin_for_hand(car: &mut Car<'_>, what: &str) -> Result<Spun, Trouble> {
     car.spin_for_hand(from_us, HAND_S, what)
 }
 
-fn reset(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    unheard(bench, &questions::RESET_AT_SPEED)?;
-    let seen = ask_word(bench, &questions::STOPPED_HOW, STOPS);
+pub(super) fn reset(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let request =
+        "The wheels will turn. Press the reset of the board a second after they begin. Ready?";
+    unheard(bench, "reset-at-speed", request)?;
+    let seen = stopped_how(bench);
     // The board starts again, and the ESC with it where the board holds its supply.
     Car::wait_for_board(bench)?;
     by_eye(seen?, "the motor stopped at once, by eye", ESC_HOLDS)
@@ -236,9 +222,11 @@ fn reset(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 /// The board tells afterwards whether it kept its power. Without it nobody gives a neutral pulse;
 /// then the kill output has dropped the supply of the ESC (see the step `kill`), or the ESC
 /// decides alone.
-fn unplug(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let before = unheard(bench, &questions::UNPLUG)?;
-    ask(bench, &questions::PLUG_IN)?;
+pub(super) fn unplug(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let request =
+        "The wheels will turn. Pull the USB cable of the board a second after they begin. Ready?";
+    let before = unheard(bench, "unplug", request)?;
+    ready(bench, "plug-in", "Plug the USB cable in again. Done?")?;
     Car::wait_for_board(bench)?;
     let mut car = Car::look(bench)?;
     car.watch(0.5, "the board reports")?;
@@ -251,7 +239,7 @@ fn unplug(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let found = "the cable takes the board's power along, and the kill output that of the ESC";
         return Ok(Finding::good(found));
     }
-    let seen = ask_word(bench, &questions::STOPPED_HOW, STOPS)?;
+    let seen = stopped_how(bench)?;
     let found =
         "the cable takes the board's power along: the ESC stopped by itself at once, by eye";
     by_eye(seen, found, OWN_SUPPLY)
@@ -275,8 +263,12 @@ fn kept_power(before: Option<BoardReading>, car: &Car<'_>) -> Result<bool, Troub
 }
 
 /// A stop after which the board sends nothing; returns the last telemetry before.
-fn unheard(bench: &mut dyn Bench, question: &Question) -> Result<Option<BoardReading>, Trouble> {
-    ask(bench, question)?;
+fn unheard(
+    bench: &mut dyn Bench,
+    id: &'static str,
+    request: &'static str,
+) -> Result<Option<BoardReading>, Trouble> {
+    ready(bench, id, request)?;
     let mut car = Car::look(bench)?;
     car.arm()?;
     let spun = spin_for_hand(&mut car, "now, by hand")?;
@@ -286,6 +278,14 @@ fn unheard(bench: &mut dyn Bench, question: &Question) -> Result<Option<BoardRea
     let before = car.board;
     car.watch(2.0, "stopping")?;
     Ok(before)
+}
+
+/// When the motor stopped driving, counted from the operator's own action, be the cable plugged in
+/// again or not.
+fn stopped_how(bench: &mut dyn Bench) -> Result<&'static str, Trouble> {
+    let text = "Did the motor stop driving at once (the wheels may roll on), later (it drove on \
+                for half a second or more), or not?";
+    ask_word(bench, "stopped-how", text, &["at-once", "late", "not"])
 }
 
 fn by_eye(seen: &str, at_once: &'static str, fix: &'static str) -> Result<Finding, Trouble> {

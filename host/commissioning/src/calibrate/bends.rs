@@ -8,9 +8,8 @@ use singletrack_core::{Config, config::ServoSection};
 
 use super::floor::{self, Drive, Figure, SLOW, Wanted, round};
 use crate::{
-    Bench, Finding, Interval, Observation, Parameter, Plot, PlotKind, PlotLine, Step, Trouble,
-    Verdict,
-    finding::failed,
+    Bench, Finding, Interval, Observation, Parameter, Plot, PlotKind, PlotLine, Trouble, Verdict,
+    finding::{change, failed, keys},
     fit::{self, Body, Frames, Motion, Signal, Track, Wheels},
     seen,
     sensors::{self, Readings, Sensor, Source},
@@ -23,16 +22,7 @@ const LARGEST_COURSE: f64 = 0.17;
 /// The largest difference of the ways by pulses and cameras, as a fraction.
 const LARGEST_RATIO: f64 = 0.15;
 
-pub(super) const STRAIGHT: Step = Step::new(
-    "straight",
-    "A straight metre: signs, pulses, course",
-    measure_straight,
-)
-.expecting(
-    "it moves along its own axis within 10 degrees, and by what the motor's pulses say within 15 %",
-);
-
-fn measure_straight(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn straight(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stands = floor::begin(bench, SLOW)?;
     let yaw = stands.pose.map_or(0.0, |(_, yaw)| yaw);
     let Some(point) = stands.point else {
@@ -104,14 +94,7 @@ const AXLE: f64 = 0.0018;
 /// acceleration and per rad/(m/s²) of the configured one.
 const STIFFNESS: f64 = 0.35;
 
-pub(super) const BENDS: Step = Step::new(
-    "bends",
-    "Bends to both sides: steering, and the body on the car",
-    measure_bends,
-)
-.expecting("the same values from every pass, near those of doctor and bring-up");
-
-fn measure_bends(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn bends(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stands = floor::begin(bench, SLOW)?;
     let figure = Figure::find(bench, &stands)?;
     let lead = figure.approach() + LEAD;
@@ -288,60 +271,51 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
             (centre.value, room / gain.value.abs())
         }
     };
-    let gain_us_per_rad = gain.value.round() as i64;
-    let yaw_rad = round(wrap(yaw.value), 5);
     let offset_m = [ahead.value, left.value].map(|value| round(value, 5));
     let offset_m = toml_edit::Value::from_iter(offset_m);
-    let dead_time_ms = round(dead.value.max(0.0), 1);
-    let mut values: Vec<(&'static str, toml_edit::Value)> = vec![
-        ("board.servo.centre_us", (straight_us.round() as i64).into()),
-        ("board.servo.gain_us_per_rad", gain_us_per_rad.into()),
-        ("motion_capture.marker_yaw_rad", yaw_rad.into()),
-        ("motion_capture.marker_offset_m", offset_m),
-        ("actuators.steering_lag_ms", round(lag.value, 1).into()),
-        ("actuators.steering_dead_time_ms", dead_time_ms.into()),
+    let mut steered_from = Parameter::new("servo-centre", "us", centre)
+        .written("board.servo.centre_us", straight_us.round() as i64);
+    if bent.is_some() {
+        let why = "where the wheels are straight by `actuators.steering_table`";
+        steered_from = steered_from.because(why);
+    }
+    // One key takes both of the body's places.
+    let mut parameters = vec![
+        steered_from,
+        Parameter::new("servo-gain", "us/rad", gain)
+            .written("board.servo.gain_us_per_rad", gain.value.round() as i64),
+        Parameter::new("body-yaw", "rad", yaw)
+            .written("motion_capture.marker_yaw_rad", round(wrap(yaw.value), 5)),
+        Parameter::new("body-forward", "m", ahead)
+            .written("motion_capture.marker_offset_m", offset_m.clone()),
+        Parameter::new("body-left", "m", left).written("motion_capture.marker_offset_m", offset_m),
+        Parameter::new("servo-lag", "ms", lag)
+            .written("actuators.steering_lag_ms", round(lag.value, 1)),
+        Parameter::new("servo-dead-time", "ms", dead).written(
+            "actuators.steering_dead_time_ms",
+            round(dead.value.max(0.0), 1),
+        ),
     ];
+    if let Some(bent) = &bent {
+        let bend = Parameter::new("steering-bend", "rad", bent.off);
+        parameters.push(bend.written("actuators.steering_table", bent.value()));
+    }
+    let mut values = keys(&parameters);
     let reach = (1_000.0 * reach).floor() / 1_000.0 - 0.001;
     if config.limits.max_steering_rad > reach {
         values.push(("limits.max_steering_rad", reach.into()));
     }
-    match &bent {
-        Some(bent) => values.push(("actuators.steering_table", bent.value())),
-        None if config.actuators.steering_table.is_some() => {
-            let ends = [servo.min_us, servo.max_us].map(f64::from);
-            let line = straight_line(straight_us.round(), gain.value.round(), ends);
-            values.push(("actuators.steering_table", line));
-        }
-        None => {}
+    if bent.is_none() && config.actuators.steering_table.is_some() {
+        let ends = [servo.min_us, servo.max_us].map(f64::from);
+        let line = straight_line(straight_us.round(), gain.value.round(), ends);
+        values.push(("actuators.steering_table", line));
     }
     let is_doubtful =
         (gain.value / f64::from(believed.board.servo.gain_us_per_rad) - 1.0).abs() > 0.25;
     let cameras = &believed.motion_capture;
     let offset = cameras.marker_offset_m;
     let moved = (ahead.value - offset[0]).hypot(left.value - offset[1]);
-    floor::change(bench, &values)?;
-    let parameter = |name, unit, estimate: Interval, key: &str| {
-        let key = values.iter().find(|(other, _)| *other == key).cloned();
-        Parameter::new(name, unit, estimate, key)
-    };
-    let dead_time_key = "actuators.steering_dead_time_ms";
-    let mut parameters = vec![
-        parameter("servo-centre", "us", centre, "board.servo.centre_us"),
-        parameter("servo-gain", "us/rad", gain, "board.servo.gain_us_per_rad"),
-        parameter("body-yaw", "rad", yaw, "motion_capture.marker_yaw_rad"),
-        parameter("body-forward", "m", ahead, "motion_capture.marker_offset_m"),
-        parameter("body-left", "m", left, "motion_capture.marker_offset_m"),
-        parameter("servo-lag", "ms", lag, "actuators.steering_lag_ms"),
-        parameter("servo-dead-time", "ms", dead, dead_time_key),
-    ];
-    if let Some(bent) = &bent {
-        let centre = &mut parameters[0];
-        *centre = centre
-            .clone()
-            .because("where the wheels are straight by `actuators.steering_table`");
-        let key = "actuators.steering_table";
-        parameters.push(parameter("steering-bend", "rad", bent.off, key));
-    }
+    change(bench, &values)?;
     let found = format!(
         "{} passes; stamps late by another {:.1} ms; the body {:.1} mm and {:.2} degrees from where \
          it was; play {play:.0} us; bends to the left {:+.1} % and to the right {:+.1} % tighter \

@@ -7,7 +7,7 @@ use singletrack_protocol::BoardMode;
 
 use crate::{
     Answer, Attendance, Bench, Interrupted, Live, Observation, Question, TickReading, Trouble,
-    finding::{failed, require, stopped},
+    finding::{change, failed, require, stopped},
     fit::Track,
 };
 
@@ -61,17 +61,6 @@ pub(super) struct Drive {
     pub(super) last_pose_ns: u64,
     /// Why it ended, if by itself.
     pub(super) reason: Option<&'static str>,
-}
-
-/// Puts values into the configuration.
-pub(super) fn change(
-    bench: &mut dyn Bench,
-    values: &[(&str, toml_edit::Value)],
-) -> Result<(), Trouble> {
-    bench.change(values).map_err(|refused| {
-        let fix = "correct the key that the message names, and run this step again";
-        failed(format!("the values are refused: {refused}"), fix)
-    })
 }
 
 /// Limits the car to this speed.
@@ -295,8 +284,8 @@ fn size(config: &Config) -> String {
     )
 }
 
-/// Why the geofence lacks room, if it does: [`lacks_room`](super::lacks_room).
-pub(super) fn lacks_room(config: &Config) -> Option<String> {
+/// Why the geofence has no room for the drives, with the size that they need; `None` if it has.
+pub fn lacks_room(config: &Config) -> Option<String> {
     /// The places that are looked at along each side of the geofence.
     const PLACES: usize = 24;
     let refusal = |found: &str| {

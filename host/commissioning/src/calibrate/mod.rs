@@ -9,25 +9,46 @@ pub(crate) mod bends;
 mod floor;
 mod speed;
 
-use singletrack_core::Config;
 use singletrack_pilot::Reason;
 
+pub use self::floor::lacks_room;
 use self::floor::{Figure, SLOW};
 use crate::{Answer, Bench, Finding, Question, Step, Trouble, Verdict, finding::stopped};
 
 /// The steps, in their order.
 pub const STEPS: [Step; 5] = [
-    bends::STRAIGHT,
-    bends::BENDS,
-    speed::SPEED,
-    speed::ROLL_OUT,
-    COVER,
+    Step::new(
+        "straight",
+        "A straight metre: signs, pulses, course",
+        bends::straight,
+    )
+    .expecting(
+        "it moves along its own axis within 10 degrees, and by what the motor's pulses say within \
+         15 %",
+    ),
+    Step::new(
+        "bends",
+        "Bends to both sides: steering, and the body on the car",
+        bends::bends,
+    )
+    .expecting("the same values from every pass, near those of doctor and bring-up"),
+    Step::new("speed", "Changes of speed: ESC and motor", speed::speed)
+        .expecting("the speed follows within 0.3 s, and the same at every rise")
+        .optional(),
+    Step::new(
+        "roll-out",
+        "Roll-outs from rising speeds: brakes and top speed",
+        speed::roll_out,
+    )
+    .expecting("every roll-out at least as short as fence.braking_m_s2 makes it"),
+    Step::new(
+        "cover",
+        "Markers covered while it drives: the stop without poses",
+        cover,
+    )
+    .expecting("it stops by itself within the distance that the geofence allows for")
+    .optional(),
 ];
-
-/// Why the geofence has no room for the drives, with the size that they need; `None` if it has.
-pub fn lacks_room(config: &Config) -> Option<String> {
-    floor::lacks_room(config)
-}
 
 /// How long the operator has to cover the markers, s.
 const SECONDS: f64 = 30.0;
@@ -41,15 +62,7 @@ const BY_MARKERS: [Reason; 4] = [
     Reason::PoseHeight,
 ];
 
-const COVER: Step = Step::new(
-    "cover",
-    "Markers covered while it drives: the stop without poses",
-    measure_cover,
-)
-.expecting("it stops by itself within the distance that the geofence allows for")
-.optional();
-
-fn measure_cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+fn cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let request = "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
                    from above, and keep them covered until it stands.";
     let answer = bench.ask(&Question::begin("cover-markers", request))?;

@@ -6,8 +6,8 @@
 
 use super::floor::{self, Figure, SLOW, Wanted, round};
 use crate::{
-    Bench, Finding, Parameter, Plot, PlotKind, PlotLine, Step, Trouble, Verdict,
-    finding::failed,
+    Bench, Finding, Parameter, Plot, PlotKind, PlotLine, Trouble, Verdict,
+    finding::{change, failed, keys},
     fit::{self, DriveTrain, Motion},
 };
 
@@ -25,10 +25,6 @@ const LOOK: [f64; 2] = [0.4, 1.3];
 /// cameras.
 const SYSTEMATIC: [f64; 2] = [0.015, 0.006];
 
-pub(super) const SPEED: Step = Step::new("speed", "Changes of speed: ESC and motor", measure_speed)
-    .expecting("the speed follows within 0.3 s, and the same at every rise")
-    .optional();
-
 /// Speed and way after a time in s.
 fn profile(time: f64) -> [f64; 2] {
     let period = (LOW + SLOW) * LASTS;
@@ -42,7 +38,7 @@ fn profile(time: f64) -> [f64; 2] {
     [speed, periods * period + way]
 }
 
-fn measure_speed(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn speed(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stands = floor::begin(bench, SLOW)?;
     let figure = Figure::find(bench, &stands)?;
     // P reaches the figure at the higher speed.
@@ -167,13 +163,18 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
     let roll = fit::mean_interval(rolls, 0.05);
     // Less than the car needs: the proportional term would overshoot.
     let feed_forward = (0.8 * gain.value).round() as i64;
-    let dead_time_ms = round(dead.value.max(0.0), 1);
-    let keys: [(&'static str, toml_edit::Value); 3] = [
-        ("board.speed.feed_forward_us_per_m_s", feed_forward.into()),
-        ("actuators.speed_lag_ms", round(lag.value, 1).into()),
-        ("actuators.speed_dead_time_ms", dead_time_ms.into()),
+    let parameters = vec![
+        Parameter::new("feed-forward", "us/(m/s)", gain)
+            .written("board.speed.feed_forward_us_per_m_s", feed_forward)
+            .because("less 20 %, so that the proportional gain does not overshoot"),
+        Parameter::new("motor-lag", "ms", lag)
+            .written("actuators.speed_lag_ms", round(lag.value, 1)),
+        Parameter::new("motor-dead-time", "ms", dead).written(
+            "actuators.speed_dead_time_ms",
+            round(dead.value.max(0.0), 1),
+        ),
     ];
-    floor::change(bench, &keys)?;
+    change(bench, &keys(&parameters))?;
     let is_slow = lag.value + dead.value > 300.0;
     let found = format!(
         "{} rises of the speed; the wheels begin to turn at {:.0} us{}",
@@ -186,13 +187,7 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
     );
     let fix = "the motor follows slowly: lower the speeds of your references, or change the ESC's \
                settings";
-    let [gain_key, lag_key, dead_key] = keys.map(Some);
-    Ok(Finding::warning_if(is_slow, found, fix).with(vec![
-        Parameter::new("feed-forward", "us/(m/s)", gain, gain_key)
-            .because("less 20 %, so that the proportional gain does not overshoot"),
-        Parameter::new("motor-lag", "ms", lag, lag_key),
-        Parameter::new("motor-dead-time", "ms", dead, dead_key),
-    ]))
+    Ok(Finding::warning_if(is_slow, found, fix).with(parameters))
 }
 
 /// The values without those that are far from most.
@@ -224,14 +219,7 @@ const LEAST: f64 = 0.2;
 /// How much of the weakest roll-out the geofence counts on.
 const COUNTED: f64 = 0.8;
 
-pub(super) const ROLL_OUT: Step = Step::new(
-    "roll-out",
-    "Roll-outs from rising speeds: brakes and top speed",
-    measure_roll_out,
-)
-.expecting("every roll-out at least as short as fence.braking_m_s2 makes it");
-
-fn measure_roll_out(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+pub(super) fn roll_out(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     floor::place(bench)?;
     let mut stops: Vec<(f64, f64)> = Vec::new();
     let mut ways = Vec::new();
@@ -262,7 +250,7 @@ fn measure_roll_out(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         // The next speed counts on what this one has shown.
         let counted = counted(bench, &stops);
         if counted != bench.configuration().fence.braking_m_s2 {
-            floor::change(bench, &[("fence.braking_m_s2", counted.into())])?;
+            change(bench, &[("fence.braking_m_s2", counted.into())])?;
         }
     }
     bench.plot(&Plot {
@@ -299,8 +287,8 @@ fn measure_roll_out(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         round(passed + 0.05, 2)
     );
     let braking = weakest.map(|estimate| {
-        let key = ("fence.braking_m_s2", counted.into());
-        Parameter::new("braking", "m/s2", estimate, Some(key))
+        Parameter::new("braking", "m/s2", estimate)
+            .written("fence.braking_m_s2", counted)
             .because("the weakest roll-out, less 20 %")
     });
     Ok(Finding::new(verdict, found, "").with(braking.into_iter().collect()))

@@ -3,8 +3,11 @@
 use singletrack_pilot::Reason;
 use singletrack_protocol::{ResetCause, Status};
 
-use super::gather::{Checks, Readings, for_time, reset_if_stopped, seconds, until};
-use crate::{Answer, Bench, Finding, Interrupted, Question, Trouble};
+use super::gather::{Checks, PRESS_RESET, Readings, for_time, reset_if_stopped, seconds, until};
+use crate::{
+    Answer, Answers, Bench, Finding, Interrupted, Question, Trouble,
+    Verdict::{Failed, Good, Warning},
+};
 
 /// A reset that takes longer leaves the ESC without pulses for too long: some keep their last
 /// one for a second.
@@ -24,15 +27,19 @@ const VOLTAGE_SHARE: f64 = 0.05;
 pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
     let readings = for_time(bench, 1.5, "board")?;
-    if let Some(reason) = refusal(&readings) {
-        let (found, fix) = reason;
+    if let Some((found, fix)) = refusal(&readings) {
         let expected = "the board's image and configuration are accepted";
-        checks.failed(found, expected, fix);
+        checks.add(Failed, found, expected, fix);
         return checks.finding(bench);
     }
     let Some(status) = readings.status() else {
         let fix = "connect the board, look at serial.port, and flash the image: cargo uno";
-        checks.failed("the board is silent", "telemetry 100 times a second", fix);
+        checks.add(
+            Failed,
+            "the board is silent",
+            "telemetry 100 times a second",
+            fix,
+        );
         return checks.finding(bench);
     };
     let rate = readings.boards.len() as f64 / readings.duration().max(0.1);
@@ -71,29 +78,24 @@ fn check_line(readings: &Readings, checks: &mut Checks) {
 
 fn check_reset_cause(cause: ResetCause, checks: &mut Checks) {
     let found = format!("last reset: {}", cause.name());
-    let expected = "power-on or external";
-    match cause {
-        ResetCause::PowerOn | ResetCause::External => checks.good(found, expected),
-        ResetCause::BrownOut => checks.warning(
-            found,
-            expected,
+    let (verdict, fix) = match cause {
+        ResetCause::PowerOn | ResetCause::External => (Good, ""),
+        ResetCause::BrownOut => (
+            Warning,
             "the 5 V have dipped: give the servo a supply of its own",
         ),
-        ResetCause::Watchdog => {
-            checks.warning(found, expected, "report it: the image has hung");
-        }
-        ResetCause::Unknown => checks.warning(
-            found,
-            expected,
+        ResetCause::Watchdog => (Warning, "report it: the image has hung"),
+        ResetCause::Unknown => (
+            Warning,
             "the bootloader hides the cause: flash the one of docs/uno.md",
         ),
-    }
+    };
+    checks.add(verdict, found, "power-on or external", fix);
 }
 
 /// The time without telemetry after the button.
 fn reset(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if bench.ask(&super::PRESS_RESET)? == Answer::Skip {
-        checks.skipped("reset");
+    if checks.skips(bench, "reset", "press-reset", PRESS_RESET)? {
         return Ok(());
     }
     let (readings, is_done) = until(bench, |readings| {
@@ -110,12 +112,15 @@ fn reset(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> 
     if silence < 0.2 || !is_done || readings.duration() > RESET_PATIENCE_S {
         let fix = "press the button of the board itself; if it was pressed, the board does not \
                    start again: flash the image";
-        checks.failed("no reset was seen", expected, fix);
-    } else if silence > SLOW_RESET_S {
-        let fix = "the bootloader waits: the ESC has no pulses meanwhile; see docs/uno.md";
-        checks.warning(found, expected, fix);
+        checks.add(Failed, "no reset was seen", expected, fix);
     } else {
-        checks.good(found, expected);
+        let fix = "the bootloader waits: the ESC has no pulses meanwhile; see docs/uno.md";
+        checks.add(
+            Warning.unless(silence <= SLOW_RESET_S),
+            found,
+            expected,
+            fix,
+        );
     }
     Ok(())
 }
@@ -142,21 +147,27 @@ pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let readings = for_time(bench, 1.0, "supply")?;
     let Some(status) = readings.status() else {
         let found = "the board is silent";
-        checks.failed(found, "a status five times a second", "see step board");
+        let fix = "see step board";
+        checks.add(Failed, found, "a status five times a second", fix);
         return checks.finding(bench);
     };
     if wanted > 0.0 {
         battery(bench, &status, [minimum, wanted], &mut checks)?;
     } else {
         let fix = "wire it as in docs/uno.md and set supervisor.arm_battery_v";
-        checks.warning("the battery is not watched", "a voltage divider on A0", fix);
+        checks.add(
+            Warning,
+            "the battery is not watched",
+            "a voltage divider on A0",
+            fix,
+        );
     }
     if has_switch {
         stop_switch(bench, &mut checks)?;
     } else {
         let found = "no stop switch is configured";
         let fix = "wire one as in docs/uno.md and set board.stop_input = true";
-        checks.warning(found, "a normally-closed switch", fix);
+        checks.add(Warning, found, "a normally-closed switch", fix);
     }
     supply(bench, &mut checks)?;
     checks.finding(bench)
@@ -171,14 +182,23 @@ fn battery(
     let volts = f64::from(status.battery_mv) * 1e-3;
     if status.battery_open {
         let found = "nothing is connected to A0";
-        checks.failed(found, "the battery's divider", "wire it as in docs/uno.md");
+        let fix = "wire it as in docs/uno.md";
+        checks.add(Failed, found, "the battery's divider", fix);
         return Ok(());
     }
     let is_good = volts >= wanted;
     let expected = format!("at least {wanted:.1} V to arm");
     let fix = "charge the battery, or set supervisor.arm_battery_v for its cells";
     checks.check(is_good, format!("battery {volts:.2} V"), expected, fix);
-    match bench.ask(&super::VOLTMETER)? {
+    let voltmeter = Question {
+        id: "voltmeter",
+        text: "Measure the battery with a voltmeter. Its voltage?".into(),
+        answers: Answers::Number {
+            unit: "V",
+            range: [0.0, 60.0],
+        },
+    };
+    match bench.ask(&voltmeter)? {
         Answer::Number(meter) => {
             let share = (volts - meter).abs() / meter.max(1.0);
             let found = format!("the voltmeter shows {meter:.2} V");
@@ -189,8 +209,8 @@ fn battery(
         }
         _ => checks.skipped("voltmeter"),
     }
-    if bench.ask(&super::UNPLUG_BATTERY)? == Answer::Skip {
-        checks.skipped("unplugged battery");
+    let request = "Press Enter, then unplug the battery. The board stays on USB.";
+    if checks.skips(bench, "unplugged battery", "unplug-battery", request)? {
         return Ok(());
     }
     let is_gone =
@@ -203,7 +223,8 @@ fn battery(
     };
     let fix = "A0 is fed from somewhere else: wire the divider to the battery's plug";
     checks.check(noticed, found, "noticed", fix);
-    if bench.ask(&super::PLUG_BATTERY)? != Answer::Skip {
+    let request = "Press Enter, then plug the battery in again.";
+    if bench.ask(&Question::begin("plug-battery", request))? != Answer::Skip {
         let is_back = seen(bench, "battery", |status| !is_gone(status))?;
         let found = "battery plugged in";
         checks.check(is_back, found, "plugged in", "plug it in again");
@@ -212,13 +233,13 @@ fn battery(
 }
 
 fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    let steps: [(Question, bool, &str); 2] = [
-        (super::OPEN_STOP_SWITCH, true, "open"),
-        (super::CLOSE_STOP_SWITCH, false, "closed"),
-    ];
-    for (question, is_open, word) in steps {
-        if bench.ask(&question)? == Answer::Skip {
-            checks.skipped("stop switch");
+    let open = "Press Enter, then open the stop switch (press the red button).";
+    let close = "Press Enter, then close the stop switch again.";
+    for (id, request, is_open, word) in [
+        ("open-stop-switch", open, true, "open"),
+        ("close-stop-switch", close, false, "closed"),
+    ] {
+        if checks.skips(bench, "stop switch", id, request)? {
             return Ok(());
         }
         let was_seen = seen(bench, "stop switch", |status| {
@@ -233,14 +254,16 @@ fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interru
     if !reset_if_stopped(bench)? {
         let found = "the board is stopped by the switch";
         let expected = "reset after the check";
-        checks.failed(found, expected, "press the reset button of the board");
+        let fix = "press the reset button of the board";
+        checks.add(Failed, found, expected, fix);
     }
     Ok(())
 }
 
 fn supply(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if bench.ask(&super::PUSH_WHEELS)? == Answer::Skip {
-        checks.skipped("supply under load");
+    let request = "Press Enter, then push the front wheels to the left and to the right by hand, \
+                   against the servo, for five seconds. Do not force them.";
+    if checks.skips(bench, "supply under load", "push-wheels", request)? {
         return Ok(());
     }
     let readings = for_time(bench, 5.0, "supply")?;
@@ -250,13 +273,12 @@ fn supply(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted>
     let found = format!("supply at least {:.2} V", f64::from(lowest) * 1e-3);
     let expected = format!("{:.1} V", f64::from(LOW_SUPPLY_MV) * 1e-3);
     let fix = "feed the servo from the ESC's BEC or from a supply of its own, not from the board";
-    if lowest >= LOW_SUPPLY_MV {
-        checks.good(found, expected);
-    } else if lowest >= BAD_SUPPLY_MV {
-        checks.warning(found, expected, fix);
-    } else {
-        checks.failed(found, expected, fix);
-    }
+    let verdict = match lowest {
+        LOW_SUPPLY_MV.. => Good,
+        BAD_SUPPLY_MV.. => Warning,
+        _ => Failed,
+    };
+    checks.add(verdict, found, expected, fix);
     Ok(())
 }
 

@@ -6,7 +6,8 @@ use singletrack_pilot::Reason;
 
 use super::gather::{Checks, Readings, for_time, motion, put_in_force, seconds, turned, until};
 use crate::{
-    Answer, Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine, Trouble,
+    Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine, Trouble,
+    Verdict::{Failed, Warning},
     fit::{Reading, mean, median, sample_times, stamp_delay, standard_deviation},
 };
 
@@ -32,7 +33,8 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let (count, states) = (readings.poses.len(), states(&readings));
         let found = format!("{count} poses in 5 s; frames without one: {states}");
         let expected = "100 poses a second";
-        checks.failed(found, expected, no_pose(bench.configuration(), &readings));
+        let fix = no_pose(bench.configuration(), &readings);
+        checks.add(Failed, found, expected, fix);
         return checks.finding(bench);
     }
     check_stream(bench, &readings, &mut checks);
@@ -51,7 +53,7 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         if let Err(refused) = put_in_force(bench, &values)? {
             let found = format!("the band is not in force: {refused}");
             let fix = "correct what the daemon refuses, and run this step again";
-            checks.failed(found, "in force", fix);
+            checks.add(Failed, found, "in force", fix);
         }
     }
     checks.finding(bench)
@@ -109,9 +111,9 @@ fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
         checks.good(found, "100, below 2 %");
     } else if rate >= 45.0 {
         let fix = "set the cameras to 100 Hz, and look for markers that are hidden at times";
-        checks.warning(found, "100, below 2 %", fix);
+        checks.add(Warning, found, "100, below 2 %", fix);
     } else {
-        checks.failed(found, "100, below 2 %", "set the cameras to 100 Hz");
+        checks.add(Failed, found, "100, below 2 %", "set the cameras to 100 Hz");
     }
     let poses = readings.poses.iter();
     let ages = poses
@@ -142,13 +144,13 @@ fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
     let is_good = error < config.motion_capture.pose.max_mean_error_m / 2.0;
     let expected = "half of motion_capture.pose.max_mean_error_m";
     let fix = "calibrate the cameras, and define the body again with the markers as they are now";
-    checks.prefer(is_good, found, expected, fix);
+    checks.add(Warning.unless(is_good), found, expected, fix);
 }
 
 /// A push forward: body and wheels move together.
 fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if bench.ask(&super::PUSH_FORWARD)? == Answer::Skip {
-        checks.skipped("push");
+    let request = "Press Enter, then roll the car forward by half a metre, wheels on the floor.";
+    if checks.skips(bench, "push", "push-forward", request)? {
         return Ok(());
     }
     let (readings, is_done) = motion(bench, |readings| {
@@ -168,18 +170,18 @@ fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrup
             "motion_capture.rigid_body = {:?} is another body: compare with the server's list",
             bench.configuration().motion_capture.rigid_body
         );
-        checks.failed(found, expected, fix);
+        checks.add(Failed, found, expected, fix);
         return Ok(());
     }
     if moved < LEAST_M || !is_done {
         let fix = "push the car as asked, and run this step again";
-        checks.failed(found, expected, fix);
+        checks.add(Failed, found, expected, fix);
         return Ok(());
     }
     if rolled < LEAST_M {
         let fix = "look at the motor's sensor and its wire to D2, see docs/uno.md; the wheels must \
                    not slide";
-        checks.failed(format!("{found}: no motor pulses"), expected, fix);
+        checks.add(Failed, format!("{found}: no motor pulses"), expected, fix);
     } else {
         checks.good(found, expected);
     }
@@ -224,8 +226,9 @@ fn heading(readings: &Readings) -> Option<f64> {
 /// The stamps of the cameras against the gyro, in a twist.
 pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
-    if bench.ask(&super::TWIST)? == Answer::Skip {
-        checks.skipped("twist");
+    let request = "Press Enter, then twist the car to and fro, 30 degrees to either side, about \
+                   once a second, flat on the floor, for 12 seconds.";
+    if checks.skips(bench, "twist", "twist", request)? {
         return checks.finding(bench);
     }
     let (readings, is_done) = until(bench, |readings| {
@@ -263,7 +266,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let uncertainty = median(readings.poses.iter().map(|pose| pose.uncertainty)).unwrap_or(0.0);
     let delay = stamp_delay(&angles, &velocities, samples.systematic.hypot(uncertainty));
     let Some(delay) = delay.filter(|_| is_done) else {
-        checks.failed("the car was not twisted", "10 s to and fro", again);
+        checks.add(Failed, "the car was not twisted", "10 s to and fro", again);
         return checks.finding(bench);
     };
     bench.plot(&plot(&angles, &velocities));
@@ -272,7 +275,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let found = "gyro and cameras turn in opposite directions";
         let fix = "the cameras' world is mirrored, or motion_capture.up_axis points down: set it \
                    again";
-        checks.failed(found, "the same", fix);
+        checks.add(Failed, found, "the same", fix);
     } else {
         let found = format!("the cameras turn {scale:.3} times as far as the gyro");
         let fix = "the IMU is mounted askew, or the body is not on this car";
@@ -313,9 +316,8 @@ fn judge_delay(bench: &dyn Bench, checks: &mut Checks, late: crate::Interval) {
     let whole = late.shifted(bench.configuration().motion_capture.timing.stamp_offset_ms);
     // Rounded to a tenth; an offset that is already in force is not written again.
     let value = (whole.value * 10.0).round() / 10.0;
-    let key = "motion_capture.timing.stamp_offset_ms";
-    let key = Some((key, value.into()));
-    checks.measured(Parameter::new("camera-latency", "ms", whole, key));
+    let latency = Parameter::new("camera-latency", "ms", whole);
+    checks.measured(latency.written("motion_capture.timing.stamp_offset_ms", value));
     let found = format!(
         "the cameras' stamps are {:.1} ms {}",
         late.value.abs(),
@@ -329,7 +331,7 @@ fn judge_delay(bench: &dyn Bench, checks: &mut Checks, late: crate::Interval) {
     if late.value.abs() <= 1e3 * LATE_S {
         checks.good(found, expected);
     } else {
-        checks.warning(format!("{found}: corrected"), expected, "");
+        checks.add(Warning, format!("{found}: corrected"), expected, "");
     }
 }
 
@@ -353,7 +355,8 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let tick = readings.ticks.last();
     match tick.and_then(|tick| tick.preflight) {
         None => checks.good("the car can be armed", "no refusal"),
-        Some(reason @ (Reason::RealTimeUnknown | Reason::RealTimeRefused)) => checks.failed(
+        Some(reason @ (Reason::RealTimeUnknown | Reason::RealTimeRefused)) => checks.add(
+            Failed,
             format!("arming would be refused: {reason}"),
             "no refusal",
             "grant real time: LimitRTPRIO= and LimitMEMLOCK= of the service, see docs/odroid.md",
@@ -361,14 +364,15 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         Some(reason) => {
             let why = Why::of_word("host", reason.name());
             let found = format!("arming would be refused: {}", why.text);
-            checks.warning(found, "no refusal", why.advice.unwrap_or_default());
+            checks.add(Warning, found, "no refusal", why.advice.unwrap_or_default());
         }
     }
     let stand = tick
         .and_then(|tick| tick.pose)
         .map(|([x_m, y_m], yaw_rad)| Stand { x_m, y_m, yaw_rad });
     match judge_reference(bench.configuration(), stand, Some(LONGEST_S)) {
-        Err(error) => checks.failed(
+        Err(error) => checks.add(
+            Failed,
             format!("the configuration is invalid: {error}"),
             "valid",
             "correct it",
@@ -380,7 +384,7 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
                     Severity::Warning => format!("{key} is {value}"),
                     Severity::Impossible => format!("{key} is {value}: it can't be driven"),
                 };
-                checks.warning(found, "", format!("{key}: {}", finding.fix));
+                checks.add(Warning, found, "", format!("{key}: {}", finding.fix));
             }
             if judgement.is_possible() {
                 checks.good("the reference can be driven", "inside limits and geofence");

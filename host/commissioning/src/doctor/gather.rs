@@ -6,7 +6,7 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 
 use crate::{
     Answer, Bench, BoardReading, Finding, Health, Inertial, Interrupted, Live, Observation,
-    Parameter, PoseReading, Refused, TickReading, Trouble, Verdict, finding::keys,
+    Parameter, PoseReading, Question, Refused, TickReading, Trouble, Verdict, finding::keys,
 };
 
 /// Observations of a time, each kind in the order of its arrival.
@@ -189,6 +189,9 @@ pub(super) fn motion(
     })
 }
 
+/// The request to press the reset button, right after the answer.
+pub(super) const PRESS_RESET: &str = "Press Enter, then press the reset button of the board once.";
+
 /// Asks the operator to reset a board that is latched. Returns whether it is free now.
 pub(super) fn reset_if_stopped(bench: &mut dyn Bench) -> Result<bool, Interrupted> {
     /// The board holds neutral for two seconds after a reset, and is configured again.
@@ -198,7 +201,7 @@ pub(super) fn reset_if_stopped(bench: &mut dyn Bench) -> Result<bool, Interrupte
     if mode(&readings) != Some(BoardMode::EmergencyStopped) {
         return Ok(true);
     }
-    if bench.ask(&super::PRESS_RESET)? == Answer::Skip {
+    if bench.ask(&Question::begin("press-reset", PRESS_RESET))? == Answer::Skip {
         return Ok(false);
     }
     // Nothing but a reset ends an emergency stop; the silence of the reset itself may have begun
@@ -261,25 +264,20 @@ impl Checks {
         self.add(Verdict::Skipped, format!("{what}: skipped"), "", "");
     }
 
-    /// A check of something that works, but could be better. There is nothing left to fix if the
-    /// doctor has corrected it.
-    pub(super) fn warning(
+    /// Asks for an action that the operator begins right after the answer. Returns whether it was
+    /// skipped.
+    pub(super) fn skips(
         &mut self,
-        found: impl Into<String>,
-        expected: impl Into<String>,
-        fix: impl Into<String>,
-    ) {
-        self.add(Verdict::Warning, found, expected, fix);
-    }
-
-    /// A check that failed.
-    pub(super) fn failed(
-        &mut self,
-        found: impl Into<String>,
-        expected: impl Into<String>,
-        fix: impl Into<String>,
-    ) {
-        self.add(Verdict::Failed, found, expected, fix);
+        bench: &mut dyn Bench,
+        what: &str,
+        id: &'static str,
+        request: &'static str,
+    ) -> Result<bool, Interrupted> {
+        let is_skipped = bench.ask(&Question::begin(id, request))? == Answer::Skip;
+        if is_skipped {
+            self.skipped(what);
+        }
+        Ok(is_skipped)
     }
 
     /// A check that passed or failed.
@@ -290,33 +288,15 @@ impl Checks {
         expected: impl Into<String>,
         fix: impl Into<String>,
     ) {
-        if is_good {
-            self.good(found, expected);
-        } else {
-            self.failed(found, expected, fix);
-        }
-    }
-
-    /// A check that passed, or of something that could be better.
-    pub(super) fn prefer(
-        &mut self,
-        is_good: bool,
-        found: impl Into<String>,
-        expected: impl Into<String>,
-        fix: impl Into<String>,
-    ) {
-        if is_good {
-            self.good(found, expected);
-        } else {
-            self.warning(found, expected, fix);
-        }
+        self.add(Verdict::Failed.unless(is_good), found, expected, fix);
     }
 
     /// The board has latched, because it mistook wheels that a hand rolled for a running motor.
     pub(super) fn latched(&mut self) {
         let found = "the board stopped: it mistook the rolled wheels for a running motor";
         let expected = "at most 1 m or 3 s of rolling without a pause";
-        self.warning(found, expected, "press the reset button of the board");
+        let fix = "press the reset button of the board";
+        self.add(Verdict::Warning, found, expected, fix);
     }
 
     pub(super) fn measured(&mut self, parameter: Parameter) {
@@ -327,7 +307,9 @@ impl Checks {
         self.verdict == Some(Verdict::Failed)
     }
 
-    fn add(
+    /// A check with this verdict. There is nothing to fix if it passed, or if the doctor has
+    /// corrected what it found.
+    pub(super) fn add(
         &mut self,
         verdict: Verdict,
         found: impl Into<String>,
@@ -341,10 +323,14 @@ impl Checks {
             (Some(before), now) => before.max(now),
             (None, now) => now,
         });
+        let fix = match verdict {
+            Verdict::Good => String::new(),
+            _ => fix.into(),
+        };
         for (list, text) in [
             (&mut self.found, found.into()),
             (&mut self.expected, expected.into()),
-            (&mut self.fixes, fix.into()),
+            (&mut self.fixes, fix),
         ] {
             if !text.is_empty() {
                 list.push(text);
@@ -366,7 +352,7 @@ impl Checks {
         {
             let found = format!("the measured values are not in force: {refused}");
             let fix = "correct the value that the daemon refuses, and run this step again";
-            self.failed(found, "in force", fix);
+            self.add(Verdict::Failed, found, "in force", fix);
         }
         if self.has_failed() {
             // A value that is not in force must not count as written.

@@ -6,8 +6,9 @@ use singletrack_control::{Time, unwrap_near, wrap};
 
 use super::gather::{Checks, Readings, distance, motion, seconds, turned};
 use crate::{
-    Answer, Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind,
-    PlotLine, PoseReading, Trouble,
+    Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine,
+    PoseReading, Trouble,
+    Verdict::{Failed, Warning},
     fit::{FloorPose, Rolled, mean, mean_interval, rolled, turned_about},
 };
 
@@ -66,13 +67,18 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
     let mut origins = Vec::new();
     let mut paths = [const { Vec::new() }; 2];
     for turn in 0..2 * TURNS {
-        let question = if turn % 2 == 0 {
-            super::TURN_LEFT_ABOUT_REAR_AXLE
+        let (id, request) = if turn % 2 == 0 {
+            let request = "Mark a point on the floor and put the middle of the rear axle over it. \
+                           Press Enter, then turn the car to the left by a whole turn, in about \
+                           ten seconds, and keep the middle of the rear axle over the point.";
+            ("turn-left-about-rear-axle", request)
         } else {
-            super::TURN_RIGHT_ABOUT_REAR_AXLE
+            let request = "Put the middle of the rear axle over the point again. Press Enter, then \
+                           turn the car to the right by a whole turn, in about ten seconds, and \
+                           keep the middle of the rear axle over the point.";
+            ("turn-right-about-rear-axle", request)
         };
-        if bench.ask(&question)? == Answer::Skip {
-            checks.skipped("turn about the rear axle");
+        if checks.skips(bench, "turn about the rear axle", id, request)? {
             return Ok(None);
         }
         let (readings, is_done) = motion(bench, |readings| {
@@ -87,7 +93,8 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
             let wandered = |(_, by)| format!("the rear axle wandered by {:.0} mm", 1e3 * by);
             let found = found.map_or_else(|| "the car was not turned".to_owned(), wandered);
             let expected = "a whole turn about the middle of the rear axle";
-            checks.failed(found, expected, "turn it as asked, and run this step again");
+            let fix = "turn it as asked, and run this step again";
+            checks.add(Failed, found, expected, fix);
             return Ok(None);
         };
         origins.push(origin);
@@ -126,8 +133,13 @@ fn rolls(
     let mut passes = Vec::new();
     let mut is_latched = false;
     for _ in 0..ROLLS {
-        if bench.ask(&super::ROLL_FORWARD)? == Answer::Skip {
-            checks.skipped("roll");
+        // The board takes wheels that turn for longer for a motor that runs.
+        let request = "Put the car where the cameras see the next two metres in front of it, \
+                       wheels straight. Press Enter, then roll it forward by two metres, in \
+                       stretches of half a metre that take a second or two each, with a pause of a \
+                       second between them: wheels that turn for longer count as a motor that \
+                       runs. Push from behind, not to the side.";
+        if checks.skips(bench, "roll", "roll-forward", request)? {
             return Ok(None);
         }
         let (readings, is_done) = motion(bench, |readings| {
@@ -136,7 +148,12 @@ fn rolls(
         })?;
         let Some(found) = rolled(&floor(&readings.poses), origin).filter(|_| is_done) else {
             let fix = "roll it as asked, and run this step again";
-            checks.failed("the car was not rolled", "2 m, or 1.5 m at least", fix);
+            checks.add(
+                Failed,
+                "the car was not rolled",
+                "2 m, or 1.5 m at least",
+                fix,
+            );
             return Ok(None);
         };
         is_latched |= readings.is_latched();
@@ -156,7 +173,12 @@ fn rolls(
     let degrees = turn.to_degrees();
     let found = format!("{ROLLS} rolls of {way:.2} m, turned by {degrees:.0} degrees at most");
     let fix = "put the front wheels straight, and repeat";
-    checks.prefer(turn < STRAIGHT_RAD, found, "below 34 degrees", fix);
+    checks.add(
+        Warning.unless(turn < STRAIGHT_RAD),
+        found,
+        "below 34 degrees",
+        fix,
+    );
     Ok(Some(passes))
 }
 
@@ -202,13 +224,13 @@ fn place(bench: &dyn Bench, origin: [Interval; 2], yaw: Interval, checks: &mut C
         ..yaw.shifted(wrap(yaw.value) - yaw.value)
     };
     let rounded = round(yaw.value, 1e4);
-    let key = Some(("motion_capture.marker_yaw_rad", rounded.into()));
-    checks.measured(Parameter::new("body-yaw", "rad", yaw, key));
+    let yaw = Parameter::new("body-yaw", "rad", yaw);
+    checks.measured(yaw.written("motion_capture.marker_yaw_rad", rounded));
     // One key takes both values.
     let offset = toml_edit::Value::from_iter(offset);
-    let key = Some(("motion_capture.marker_offset_m", offset));
-    checks.measured(Parameter::new("body-forward", "m", forward, key));
-    checks.measured(Parameter::new("body-left", "m", left, None));
+    let forward = Parameter::new("body-forward", "m", forward);
+    checks.measured(forward.written("motion_capture.marker_offset_m", offset));
+    checks.measured(Parameter::new("body-left", "m", left));
 }
 
 /// The distance of a pulse.
@@ -217,7 +239,12 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
     let ratios: Vec<f64> = passes.iter().filter_map(|pass| pass.ratio).collect();
     let fix = "look at the motor's sensor and its wire to D2, see docs/uno.md";
     let Some(ratio) = mean_interval(&ratios, 0.0).filter(|_| ratios.len() == passes.len()) else {
-        checks.failed("no motor pulses", "pulses while the wheels turn", fix);
+        checks.add(
+            Failed,
+            "no motor pulses",
+            "pulses while the wheels turn",
+            fix,
+        );
         return;
     };
     let ratio = ratio.widened(SLIP * ratio.value);
@@ -236,16 +263,17 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
     if share > 0.05 {
         let found = format!("it is known to {:.0} % only", 100.0 * share);
         let fix = "roll the car for the whole two metres, at an even speed";
-        checks.warning(found, "5 %", fix);
+        checks.add(Warning, found, "5 %", fix);
     }
     // Outside of what the board can count.
     if !(100.0..=30_000.0).contains(&distance.value) {
         let found = format!("a pulse every {:.2} mm", 1e-3 * distance.value);
-        checks.failed(found, "0.1 to 30 mm", fix);
+        checks.add(Failed, found, "0.1 to 30 mm", fix);
     }
-    let key = Some(("board.speed.pulse_distance_um", (written as i64).into()));
-    let distance = Parameter::new("pulse-distance", "um", distance, key);
-    checks.measured(distance.because("by the board's clock, which divides by it"));
+    let distance = Parameter::new("pulse-distance", "um", distance)
+        .written("board.speed.pulse_distance_um", written as i64)
+        .because("by the board's clock, which divides by it");
+    checks.measured(distance);
 }
 
 /// Way by the cameras over way by the pulses, of the rear axle, while the car was fast. The car

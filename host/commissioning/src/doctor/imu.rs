@@ -4,8 +4,8 @@ use singletrack_protocol::{ImuAxes, ImuAxis};
 
 use super::gather::{Checks, Readings, for_time, motion, norm, put_in_force, seconds};
 use crate::{
-    Answer, Bench, Finding, Inertial, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine,
-    Question, Trouble,
+    Bench, Finding, Inertial, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Trouble,
+    Verdict::{Failed, Warning},
     fit::{block_means, mean, mean_interval, standard_deviation},
     imu_noise::{NoiseLevel, compare},
 };
@@ -26,8 +26,9 @@ const BACK: f64 = 0.4;
 /// Registers, tilt, bias and noise of a car that stands.
 pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
-    if bench.ask(&super::STAND_STILL)? == Answer::Skip {
-        checks.skipped("rest");
+    let request = "Put the car on a level floor, where the cameras see it. Press Enter, and do not \
+                   touch it for a minute.";
+    if checks.skips(bench, "rest", "stand-still", request)? {
         return checks.finding(bench);
     }
     // The hand leaves the car.
@@ -73,14 +74,14 @@ fn check_registers(readings: &Readings, checks: &mut Checks) {
         let found =
             format!("calibration: system {system}, gyro {gyro}, accelerometer {accelerometer}");
         let fix = "leave the car at rest for some seconds after each start";
-        checks.warning(found, "gyro 3", fix);
+        checks.add(Warning, found, "gyro 3", fix);
     } else {
         checks.good(format!("gyro calibrated ({gyro} of 3)"), "3");
     }
     if errors > 0 {
         let found = format!("{errors} errors on the bus to the IMU");
         let fix = "shorten its wires, and keep them away from the motor's";
-        checks.warning(found, "none", fix);
+        checks.add(Warning, found, "none", fix);
     }
 }
 
@@ -104,11 +105,11 @@ fn check_gyro(bench: &dyn Bench, samples: &[Inertial], checks: &mut Checks) {
     let found = format!("noise {noise:.4} rad/s");
     let fix = "fix the IMU to the chassis, and the car to a floor that does not shake";
     checks.check(noise < 0.02, found, "below 0.02", fix);
-    checks.measured(Parameter::new("gyro-bias", "rad/s", bias, None));
+    checks.measured(Parameter::new("gyro-bias", "rad/s", bias));
     // The noise is white: the standard deviation's own error is 1 / sqrt(2 n).
     let spread = 1.96 * noise / (2.0 * rates.len() as f64).sqrt();
     let estimate = Interval::around(noise, spread).widened(0.3 * HALF_STEP);
-    checks.measured(Parameter::new("gyro-noise", "rad/s", estimate, None));
+    checks.measured(Parameter::new("gyro-noise", "rad/s", estimate));
 }
 
 /// The noise at rest, against what the estimator believes. It is larger while the wheels turn:
@@ -125,7 +126,7 @@ fn check_noise(bench: &dyn Bench, samples: Vec<Inertial>, checks: &mut Checks) {
     } else {
         let too_small = comparison.too_small.join(", ");
         let found = format!("{found}; too small: {too_small}: raised");
-        checks.warning(found, expected, "");
+        checks.add(Warning, found, expected, "");
     }
     for parameter in comparison.parameters {
         checks.measured(parameter);
@@ -152,7 +153,7 @@ fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, chec
     let found = format!("{:.1} degrees from the cameras", difference.to_degrees());
     let expected = format!("below {:.1}", limit.to_degrees());
     let fix = "define the rigid body in the cameras' program with the car level";
-    checks.prefer(difference < limit, found, expected, fix);
+    checks.add(Warning.unless(difference < limit), found, expected, fix);
 }
 
 /// Wheels at rest must give no pulses.
@@ -190,17 +191,17 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let text = format!("axes are {measured}, configured were {configured}");
     if let Err(refused) = put_in_force(bench, &values)? {
         let found = format!("{text}; not changed: {refused}");
-        checks.failed(found, "as configured", fix);
+        checks.add(Failed, found, "as configured", fix);
         return checks.finding(bench);
     }
     // The board restarts the IMU with the new axes.
     for_time(bench, 2.0, "the IMU starts with its new axes")?;
     if let Some(again) = mounting(bench, &mut checks)? {
         if again == found {
-            checks.warning(format!("{text}: corrected"), "as configured", "");
+            checks.add(Warning, format!("{text}: corrected"), "as configured", "");
         } else {
             let found = format!("{text}; after the correction they are {}", words(again));
-            checks.failed(found, "as configured", fix);
+            checks.add(Failed, found, "as configured", fix);
         }
     }
     checks.finding(bench)
@@ -209,15 +210,20 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 /// The mounting of the chip, by three motions; `None` if they do not determine it.
 fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes>, Interrupted> {
     // The car is put down again after a lift, but not turned back.
-    let steps: [(Question, &str, bool); 3] = [
-        (super::LEFT_SIDE_UP, "left side up", true),
-        (super::NOSE_UP, "nose up", true),
-        (super::TURN_LEFT, "turn to the left", false),
+    let left_up = "Press Enter, then lift the left side of the car by about 45 degrees, hold it \
+                   for a second, and put it down again.";
+    let nose_up = "Press Enter, then lift the front of the car until its nose points up by about \
+                   45 degrees, hold it for a second, and put it down again.";
+    let turn = "Press Enter, then turn the car to the left (counter-clockwise from above) by about \
+                90 degrees, flat on the floor, and let go.";
+    let steps = [
+        ("left-side-up", left_up, "left side up", true),
+        ("nose-up", nose_up, "nose up", true),
+        ("turn-left", turn, "turn to the left", false),
     ];
     let mut rotations = [[0.0; 3]; 3];
-    for (rotation, (question, what, returns)) in rotations.iter_mut().zip(steps) {
-        if bench.ask(&question)? == Answer::Skip {
-            checks.skipped(what);
+    for (rotation, (id, request, what, returns)) in rotations.iter_mut().zip(steps) {
+        if checks.skips(bench, what, id, request)? {
             return Ok(None);
         }
         let (readings, is_done) = motion(bench, |readings| {
@@ -231,7 +237,7 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes
             let degrees = norm(rotations_of(&readings)[0]).to_degrees();
             let found = format!("{what}: the IMU turned by {degrees:.0} degrees only");
             let fix = "repeat the motion; if it was done, the IMU does not measure it";
-            checks.failed(found, "30 degrees or more", fix);
+            checks.add(Failed, found, "30 degrees or more", fix);
             return Ok(None);
         }
         [*rotation, _] = rotations_of(&readings);
@@ -245,7 +251,7 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes
         let found = "the three motions are not about the axes of the IMU";
         let fix = "mount the IMU along the axes of the car, and repeat the motions one axis at a \
                    time";
-        checks.failed(found, "each within 35 degrees of one", fix);
+        checks.add(Failed, found, "each within 35 degrees of one", fix);
     }
     Ok(found)
 }

@@ -44,7 +44,6 @@ pub struct Limits {
 
 impl Limits {
     /// For the paper's car.
-    #[must_use]
     pub const fn paper() -> Self {
         Self {
             max_speed: 1.5,
@@ -69,14 +68,7 @@ impl Limits {
     pub fn with_tyres(self, vehicle: &VehicleParameters) -> Self {
         // Beyond it the slip of the model grows without bound.
         const MOST: f64 = 0.98;
-        let VehicleParameters {
-            mass_kg: m,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = *vehicle;
+        let [m, _, l_f, l_r, c_f, c_r] = vehicle.symbols();
         let grip = vehicle.friction * GRAVITY;
         let used = (self.max_lateral_acceleration / grip).min(MOST);
         let understeer = m / vehicle.wheelbase_m() * (l_r / c_f - l_f / c_r);
@@ -88,7 +80,6 @@ impl Limits {
 
     /// The steering angle at which the lateral acceleration reaches its limit, at this speed
     /// (m/s), in rad: atan(a L/v²), and the part that the tyres' slip takes.
-    #[must_use]
     pub fn steering_at(&self, speed: f64) -> f64 {
         let rolling = atan(self.max_lateral_acceleration * self.wheelbase / (speed * speed));
         (rolling + self.slip).max(0.0)
@@ -96,7 +87,6 @@ impl Limits {
 
     /// The speed at which the lateral acceleration reaches its limit, with this steering
     /// angle (rad), in m/s; infinite where it never does.
-    #[must_use]
     pub fn speed_in_bend(&self, steering: f64) -> f64 {
         let rolling = (fabs(steering) - self.slip).max(0.0);
         let curvature = tan(rolling) / self.wheelbase;
@@ -136,7 +126,7 @@ pub struct LimitedLaw {
 }
 
 /// What the last step of the law rested on.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Basis {
     motion: Motion,
     /// The angle of the front wheels, rad.
@@ -171,57 +161,25 @@ pub struct Lead {
 /// A turn towards a velocity behind the car.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Turn {
-    side: Hand,
+    /// 1 to the left, -1 to the right.
+    side: f64,
     /// The angle turned so far, rad; positive to the left.
     turned: f64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Hand {
-    Left,
-    Right,
-}
-
-impl Hand {
-    fn of(angle: f64) -> Self {
-        if angle < 0.0 { Self::Right } else { Self::Left }
-    }
-
-    const fn other(self) -> Self {
-        match self {
-            Self::Left => Self::Right,
-            Self::Right => Self::Left,
-        }
-    }
-}
-
 impl LimitedLaw {
     /// A standing car with straight wheels.
-    #[must_use]
-    pub const fn new(law: FrontPointLaw, limits: Limits) -> Self {
+    pub fn new(law: FrontPointLaw, limits: Limits) -> Self {
         Self {
             law,
             limits,
-            actuation: Actuation {
-                speed: 0.0,
-                steering: 0.0,
-                steering_rate: 0.0,
-            },
-            basis: Basis {
-                motion: Motion {
-                    yaw: 0.0,
-                    yaw_rate: 0.0,
-                    sideslip: 0.0,
-                },
-                wheels: 0.0,
-                lead: None,
-            },
+            actuation: Actuation::default(),
+            basis: Basis::default(),
             turning: None,
         }
     }
 
     /// The law.
-    #[must_use]
     pub const fn law(&self) -> &FrontPointLaw {
         &self.law
     }
@@ -232,13 +190,11 @@ impl LimitedLaw {
     }
 
     /// The last command.
-    #[must_use]
     pub const fn actuation(&self) -> Actuation {
         self.actuation
     }
 
     /// Whether the car turns around.
-    #[must_use]
     pub const fn is_turning_round(&self) -> bool {
         self.turning.is_some()
     }
@@ -247,7 +203,6 @@ impl LimitedLaw {
     /// over the actuators is taken off. Only after a step of the law.
     ///
     /// It is the wanted velocity where nothing limited that.
-    #[must_use]
     pub fn point_velocity(&self) -> Velocity {
         let Basis {
             motion,
@@ -327,24 +282,15 @@ impl LimitedLaw {
             wheels: steering,
             lead: None,
         };
-        let (speed, rate) = if wanted_speed < limits.standstill_speed {
+        let is_slow = wanted_speed < limits.standstill_speed;
+        let standing = is_slow.then_some(wanted);
+        let standing = standing.or_else(|| self.overtakes(motion, steering, &wanted, ahead));
+        let (speed, rate) = if let Some(wanted) = standing {
             self.turning = None;
-            (
-                0.0,
-                self.standing_rate(motion, measured_speed, steering, &wanted)?,
-            )
-        } else if let Some(wanted) = self.overtakes(motion, steering, &wanted, ahead) {
-            self.turning = None;
-            (
-                0.0,
-                self.standing_rate(motion, measured_speed, steering, &wanted)?,
-            )
+            let rate = self.standing_rate(motion, measured_speed, steering, &wanted)?;
+            (0.0, rate)
         } else if let Some(side) = self.turn_around(motion, steering, &wanted, period) {
-            let rate = match side {
-                Hand::Left => limits.max_steering_rate,
-                Hand::Right => -limits.max_steering_rate,
-            };
-            (limits.creep_speed, rate)
+            (limits.creep_speed, side * limits.max_steering_rate)
         } else {
             let command = self.law.command(motion, steering, &wanted)?;
             match ahead.lead {
@@ -469,14 +415,14 @@ impl LimitedLaw {
         (is_behind(wanted) && !is_behind(&reference)).then(|| wanted - wanted.dot(&wheels) * wheels)
     }
 
-    /// The side to which the car turns around, if it does.
+    /// The side to which the car turns around, if it does: 1 to the left, -1 to the right.
     fn turn_around(
         &mut self,
         motion: &Motion,
         steering: f64,
         wanted: &Velocity,
         period: f64,
-    ) -> Option<Hand> {
+    ) -> Option<f64> {
         if self.limits.max_reverse_speed > 0.0 {
             return None;
         }
@@ -487,7 +433,7 @@ impl LimitedLaw {
                 let off_wheels = angle_between(&direction(wheels), wanted);
                 let behind = off_wheels.abs() > TURN_FROM || off_heading.abs() > TURN_FROM;
                 behind.then_some(Turn {
-                    side: Hand::of(off_heading),
+                    side: if off_heading < 0.0 { -1.0 } else { 1.0 },
                     turned: 0.0,
                 })
             }
@@ -497,7 +443,7 @@ impl LimitedLaw {
                 let turned = turn.turned + motion.yaw_rate * period;
                 Some(if turned.abs() > TURN_AT_MOST {
                     Turn {
-                        side: turn.side.other(),
+                        side: -turn.side,
                         turned: 0.0,
                     }
                 } else {

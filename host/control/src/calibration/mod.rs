@@ -103,7 +103,6 @@ words! {
 
 impl CalibrationParameter {
     /// What a deviation must exceed to matter: each costs some 3 mm, or nothing but trust.
-    #[must_use]
     pub const fn threshold(self) -> f64 {
         self.bounds().threshold
     }
@@ -154,7 +153,6 @@ pub struct CalibrationEstimate {
 
 impl CalibrationEstimate {
     /// Whether the configured value is wrong by what matters.
-    #[must_use]
     pub fn is_off(&self) -> bool {
         let off = fabs(self.value);
         self.observable && off > self.half_width && off > self.parameter.threshold()
@@ -233,7 +231,6 @@ pub struct Calibration {
 
 impl Calibration {
     /// Before the first tick.
-    #[must_use]
     pub fn new(config: CalibrationConfig) -> Self {
         Self {
             config,
@@ -259,7 +256,6 @@ impl Calibration {
 
     /// Whether the last seconds contradict what the drives before say of the steering, or it has
     /// changed.
-    #[must_use]
     pub const fn doubts_steering(&self) -> bool {
         self.odd > 0 || self.steering_change.is_some()
     }
@@ -267,7 +263,6 @@ impl Calibration {
     /// The sudden change of the steering while the car drove, as a change of the trim,
     /// rad: a horn has slipped, a servo is stuck. `None` if it has not. What was known of the
     /// steering before is forgotten.
-    #[must_use]
     pub const fn steering_change(&self) -> Option<f64> {
         self.steering_change
     }
@@ -333,7 +328,6 @@ impl Calibration {
     }
 
     /// The estimates, in the order of their numbers.
-    #[must_use]
     pub fn estimates(&self) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
         let across = self.across_fit.fit(None);
         let body_yaw = across.as_ref().map_or(0.0, |fit| fit.values[1]);
@@ -349,7 +343,6 @@ impl Calibration {
     /// calibrated car, in the order of their numbers; `None` for what it does not show. `free` has
     /// taken the same drive without the noise of the sensors. The windows count as independent,
     /// and what the model is wrong by is left out, but for the delays of the stamps' offset.
-    #[must_use]
     pub fn bounds(&self, free: &Self) -> [Option<f64>; CalibrationParameter::ALL.len()] {
         let estimates = estimates(
             self.gyro_fit.bound(&free.gyro_fit, None).as_ref(),
@@ -490,18 +483,10 @@ struct Tyres {
 impl Tyres {
     /// At this speed (m/s), yaw rate (rad/s) and yaw acceleration (rad/s²).
     fn of(vehicle: &VehicleParameters, speed: f64, turn: f64, turn_slope: f64) -> Self {
-        let VehicleParameters {
-            mass_kg: m,
-            yaw_inertia_kg_m2: inertia,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            friction,
-        } = *vehicle;
+        let [m, inertia, l_f, l_r, c_f, c_r] = vehicle.symbols();
         let wheelbase = vehicle.wheelbase_m();
         let lateral = speed * turn + l_r * turn_slope;
-        let used = (fabs(speed * turn) / (friction * GRAVITY)).min(MOST_GRIP);
+        let used = (fabs(speed * turn) / (vehicle.friction * GRAVITY)).min(MOST_GRIP);
         // By how much the slip of saturating tyres is larger than that of linear ones.
         let stiffness =
             c_f * c_r * wheelbase * wheelbase / speed + m * speed * (c_r * l_r - c_f * l_f);

@@ -211,7 +211,6 @@ const STUDENT: [f64; 30] = [
 
 /// The 97.5 % quantile of Student's distribution with `freedom` degrees of freedom, to 0.001: half the
 /// width of a 95 % interval, in standard errors. Infinite without a degree of freedom.
-#[must_use]
 pub fn student_quantile(freedom: usize) -> f64 {
     let Some(index) = freedom.checked_sub(1) else {
         return f64::INFINITY;

@@ -85,10 +85,10 @@ pub(super) struct Bank {
     /// The noise of the IMU at rest, and of a car that moves.
     noise: [Variances; 2],
     /// Mean error of the accelerometer to the left, m/s², and the number of samples.
-    left_bias: f64,
+    pub(super) left_bias: f64,
     accelerations: u32,
     /// The time of the filters' state.
-    time: Time,
+    pub(super) time: Time,
 }
 
 impl Bank {
@@ -104,19 +104,9 @@ impl Bank {
         }
     }
 
-    /// The time of the filters' state.
-    pub(super) const fn time(&self) -> Time {
-        self.time
-    }
-
     /// The most likely filter.
     pub(super) fn best(&self) -> &Filter {
         &self.filters[self.most_likely()]
-    }
-
-    /// Mean error of the accelerometer to the left, m/s².
-    pub(super) const fn left_bias(&self) -> f64 {
-        self.left_bias
     }
 
     /// Whether the filters, and what they were found likely by, are finite.

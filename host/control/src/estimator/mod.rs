@@ -95,7 +95,6 @@ pub struct EstimatorConfig {
 
 impl EstimatorConfig {
     /// The power of the accelerometer's noise at a squared speed (m²/s²), m²/s⁴/Hz.
-    #[must_use]
     pub const fn acceleration_variance(&self, squared_speed: f64) -> f64 {
         let (rest, vibration) = (
             self.acceleration_noise_density,
@@ -105,7 +104,6 @@ impl EstimatorConfig {
     }
 
     /// For a motion capture with deviations of 0.2 mm and 0.1 degrees, and a consumer IMU.
-    #[must_use]
     pub const fn for_vehicle(vehicle: &VehicleParameters) -> Self {
         Self {
             marker_loss: MarkerLoss::Hold,
@@ -235,7 +233,6 @@ struct Track {
 
 impl Estimator {
     /// An estimator before its first measurement.
-    #[must_use]
     pub const fn new(config: EstimatorConfig) -> Self {
         Self {
             config,
@@ -267,19 +264,16 @@ impl Estimator {
     }
 
     /// The number of implausible poses in a row.
-    #[must_use]
     pub const fn implausible_in_a_row(&self) -> u32 {
         self.implausible_in_a_row
     }
 
     /// The number of poses accepted since the estimate started.
-    #[must_use]
     pub fn poses(&self) -> u32 {
         self.track.as_ref().map_or(0, |track| track.poses)
     }
 
     /// The estimated gyro bias, rad/s; 0 before the first pose.
-    #[must_use]
     pub fn gyro_bias(&self) -> f64 {
         self.track
             .as_ref()
@@ -287,7 +281,6 @@ impl Estimator {
     }
 
     /// The estimated scale of the gyro, of what it reads to the yaw rate; 1 before the first pose.
-    #[must_use]
     pub fn gyro_scale(&self) -> f64 {
         self.track
             .as_ref()
@@ -296,31 +289,27 @@ impl Estimator {
 
     /// The estimated biases of the accelerometer, forward and left, m/s²; 0 before the first
     /// pose.
-    #[must_use]
     pub fn acceleration_bias(&self) -> [f64; 2] {
         self.track.as_ref().map_or([0.0; 2], |track| {
-            [track.bank.best().forward_bias(), track.bank.left_bias()]
+            [track.bank.best().forward_bias(), track.bank.left_bias]
         })
     }
 
     /// The normalised innovation squared of the last pose that was not late, accepted or not: how
     /// far it was from its prediction, in squared standard deviations of its three coordinates,
     /// before it was weighted. A consistent estimate has a mean of 3. It is 0 for the first pose.
-    #[must_use]
     pub fn innovation(&self) -> f64 {
         self.track.as_ref().map_or(0.0, |track| track.innovation)
     }
 
     /// The variance of the sideslip of the last estimate, rad²; infinite before the first one and at
     /// standstill.
-    #[must_use]
     pub fn sideslip_variance(&self) -> f64 {
         let last = self.track.as_ref().and_then(|track| track.last);
         last.map_or(f64::INFINITY, |last| last.sideslip_variance())
     }
 
     /// The covariances of the last estimate; none before the first one.
-    #[must_use]
     pub fn covariance(&self) -> Option<Covariance> {
         let last = self.track.as_ref()?.last?;
         // The upper triangle, by rows.
@@ -344,7 +333,7 @@ impl Estimator {
         let Some(track) = self.advance(pose.capture) else {
             return self.start(&measurement, pose.capture);
         };
-        if pose.capture <= track.pose_time || pose.capture < track.bank.time() {
+        if pose.capture <= track.pose_time || pose.capture < track.bank.time {
             return PoseVerdict::Late;
         }
         let (innovation, within) = track.bank.correct_pose(&measurement, &config);
@@ -470,7 +459,6 @@ impl Estimator {
     }
 
     /// The pose of the car for a pose of the rigid body.
-    #[must_use]
     pub fn centre_of_mass(&self, pose: &PoseSample) -> CarPose {
         let yaw = pose.yaw - self.config.marker_yaw;
         let [forward, left] = self.config.marker_offset;
@@ -495,7 +483,7 @@ impl Estimator {
     fn advance(&mut self, end: Time) -> Option<&mut Track> {
         let track = self.track.as_mut()?;
         let bank = &mut track.bank;
-        if end < bank.time() {
+        if end < bank.time {
             return Some(track);
         }
         while let Some(next) = self.samples.front().copied()

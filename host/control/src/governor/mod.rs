@@ -16,7 +16,7 @@ use libm::{floor, rint, sin, sqrt};
 use self::leader::{Leader, STEP, Sample};
 use crate::{
     ConvexArea, FrontPointLaw, Limits, Position, Reference, ReferencePoint, Stop, Velocity,
-    along_bend,
+    along_bend, words,
 };
 
 /// The part of a limit that the reference may take; the rest is for corrections.
@@ -35,45 +35,22 @@ const AHEAD: f64 = 1.5;
 /// The steps of the leader that are kept: those ahead, and some behind.
 const STEPS: usize = (AHEAD / STEP) as usize + 8;
 
-/// Why a reference is slowed down.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SlowedBy {
-    /// The lateral acceleration of the car.
-    Tyres,
-    /// Its steering angle: the governed reference is beside the path, or the wheels turn from it.
-    Steering,
-    /// Its steering rate.
-    SteeringRate,
-    /// Its speed.
-    Speed,
-    /// P, which is far behind.
-    Behind,
-    /// The geofence, inside which the car must be able to stop.
-    Geofence,
-}
-
-impl SlowedBy {
-    /// All values.
-    pub const ALL: [Self; 6] = [
-        Self::Tyres,
-        Self::Steering,
-        Self::SteeringRate,
-        Self::Speed,
-        Self::Behind,
-        Self::Geofence,
-    ];
-
-    /// The word for it.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Tyres => "tyres",
-            Self::Steering => "steering",
-            Self::SteeringRate => "steering-rate",
-            Self::Speed => "speed",
-            Self::Behind => "behind",
-            Self::Geofence => "geofence",
-        }
+words! {
+    /// Why a reference is slowed down.
+    pub enum SlowedBy {
+        /// The lateral acceleration of the car.
+        Tyres = "tyres",
+        /// Its steering angle: the governed reference is beside the path, or the wheels turn from
+        /// it.
+        Steering = "steering",
+        /// Its steering rate.
+        SteeringRate = "steering-rate",
+        /// Its speed.
+        Speed = "speed",
+        /// P, which is far behind.
+        Behind = "behind",
+        /// The geofence, inside which the car must be able to stop.
+        Geofence = "geofence",
     }
 }
 
@@ -94,7 +71,6 @@ pub struct GovernorConfig {
 impl GovernorConfig {
     /// The radius of the circle on which P follows a circle that is smaller, in m. The steering
     /// angle that it takes leaves some for corrections.
-    #[must_use]
     pub fn least_radius(&self) -> f64 {
         let front = self.limits.wheelbase / sin(USABLE * self.limits.max_steering);
         let p = self.law.point_distance();
@@ -137,7 +113,6 @@ const FREE: Sample = Sample {
 
 impl Governor {
     /// A governor at the start of a reference.
-    #[must_use]
     pub const fn new(config: GovernorConfig) -> Self {
         Self {
             config,
@@ -162,20 +137,17 @@ impl Governor {
 
     /// The path parameter at `time` (s since the start of the drive), which is not before the
     /// last tick; the rate stays as it is until the next tick.
-    #[must_use]
     pub fn path_at(&self, time: f64) -> f64 {
         self.path_of(self.led_at(time)).max(self.path)
     }
 
     /// The rate at which the governed reference advances, 0 to 1: its velocity as a share of the
     /// one asked for. Beside a bend that is too tight the path parameter advances more slowly.
-    #[must_use]
     pub const fn rate(&self) -> f64 {
         self.rate
     }
 
     /// Why the reference is followed more slowly or beside its path, if it is.
-    #[must_use]
     pub const fn slowed_by(&self) -> Option<SlowedBy> {
         self.slowed_by
     }
@@ -215,7 +187,6 @@ impl Governor {
     }
 
     /// The governed reference `ahead` seconds after the last tick.
-    #[must_use]
     pub fn at(&self, reference: &Reference, ahead: f64) -> ReferencePoint {
         if self.rate >= 1.0 && self.slope >= 0.0 {
             return self.led_point(reference, self.led + ahead);
@@ -369,7 +340,6 @@ pub struct Room {
 impl Room {
     /// The room inside `area` for a car that stops with the deceleration `braking` (m/s²) after
     /// the time `reaction` (s). The leader keeps 5 cm from the edge. None if so little is left.
-    #[must_use]
     pub fn new(area: &ConvexArea, braking: f64, reaction: f64) -> Option<Self> {
         let is_valid = braking > 0.0 && braking.is_finite() && reaction >= 0.0;
         let area = area.shrunk(RESERVE).ok()?;

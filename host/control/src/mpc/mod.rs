@@ -249,7 +249,6 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
     }
 
     /// What the last tick came to.
-    #[must_use]
     pub const fn verdict(&self) -> MpcVerdict {
         self.state.verdict
     }
@@ -501,7 +500,6 @@ impl DelayedMpc {
     }
 
     /// What the last tick came to.
-    #[must_use]
     pub const fn verdict(&self) -> MpcVerdict {
         match self {
             Self::Prompt(tracking) => tracking.verdict(),

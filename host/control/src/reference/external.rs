@@ -119,7 +119,6 @@ impl External {
 
     /// Whether the set-point in force is older than the time-out, or there is none. So is a
     /// trajectory after its last point.
-    #[must_use]
     pub fn is_stale(&self, now: Time) -> bool {
         self.newest.is_none_or(|newest| {
             let is_over = newest.demand.is_none()
@@ -129,13 +128,11 @@ impl External {
     }
 
     /// The stamp of the set-point in force.
-    #[must_use]
     pub fn in_force(&self) -> Option<SetpointStamp> {
         self.newest.map(|newest| newest.stamp)
     }
 
     /// The demand in force at `now`; standstill before the first.
-    #[must_use]
     pub fn demand(&self, now: Time) -> Demand {
         match self.newest {
             Some(Newest {
@@ -166,7 +163,6 @@ impl External {
     }
 
     /// How long a set-point is valid, s.
-    #[must_use]
     pub const fn timeout(&self) -> f64 {
         self.timeout
     }

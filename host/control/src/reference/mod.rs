@@ -19,7 +19,7 @@ pub use simple::{
 };
 
 /// A reference at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ReferencePoint {
     /// Position of P, in m; none for a reference of velocity only.
     pub position: Option<Position>,
@@ -33,7 +33,6 @@ const OVERTAKEN: f64 = 1.0;
 impl ReferencePoint {
     /// The velocity of a reference that comes after `point` (m) soon, in m/s: see
     /// [`Ahead::overtaken`](crate::Ahead::overtaken).
-    #[must_use]
     pub fn overtaken_by(&self, point: &Position) -> Option<Velocity> {
         let away = (self.position? - point).norm();
         let is_near = away < OVERTAKEN * self.velocity.norm();
@@ -148,7 +147,6 @@ pub enum ReferenceError {
 
 impl Reference {
     /// What the reference demands at `now`, `time` seconds after the start of the drive.
-    #[must_use]
     pub fn demand(&self, now: Time, time: f64) -> Demand {
         match self {
             Self::External(external) => external.demand(now),
@@ -160,7 +158,6 @@ impl Reference {
     /// seconds after the start of the drive; none if it demands steering and speed.
     ///
     /// A set-point from outside has no more than its velocity.
-    #[must_use]
     pub fn point_ahead(&self, now: Time, time: f64, ahead: f64) -> Option<ReferencePoint> {
         match self {
             Self::External(external) => external.point_ahead(now, ahead),
@@ -170,7 +167,6 @@ impl Reference {
 
     /// The reference at `time` seconds after the start of the drive; standstill for set-points
     /// from outside, which no one knows beforehand.
-    #[must_use]
     pub fn at(&self, time: f64) -> ReferencePoint {
         match self {
             Self::Circle(circle) => circle.at(time),
@@ -178,10 +174,7 @@ impl Reference {
             Self::FigureOfEight(figure) => figure.at(time),
             Self::Waypoints(waypoints) => waypoints.at(time),
             Self::Path(path) => path.at(time),
-            Self::External(_) => ReferencePoint {
-                position: None,
-                velocity: Velocity::zeros(),
-            },
+            Self::External(_) => ReferencePoint::default(),
         }
     }
 
@@ -198,7 +191,6 @@ impl Reference {
     }
 
     /// The time at which the reference ends, in s; none if it does not end.
-    #[must_use]
     pub fn duration(&self) -> Option<f64> {
         match self {
             Self::Circle(_) | Self::FigureOfEight(_) | Self::External(_) => None,
@@ -209,7 +201,6 @@ impl Reference {
     }
 
     /// The next time after `time` at which the reference jumps, in s.
-    #[must_use]
     pub fn next_switch(&self, time: f64) -> Option<f64> {
         match self {
             Self::Circle(_) | Self::FigureOfEight(_) | Self::Path(_) | Self::External(_) => None,
@@ -334,7 +325,6 @@ impl Reference {
     }
 
     /// The time of a closed reference once round, in s; none for an open one.
-    #[must_use]
     pub fn lap_time(&self) -> Option<f64> {
         match self {
             Self::Circle(circle) => turn_time(circle.angular_velocity),

@@ -146,7 +146,6 @@ impl Path {
     }
 
     /// Whether the path ends where it begins and goes on from there.
-    #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.is_closed
     }
@@ -162,7 +161,6 @@ impl Path {
     }
 
     /// The time from the first point to the last one, or once round, in s.
-    #[must_use]
     pub fn lap_time(&self) -> f64 {
         self.stations.last().map_or(0.0, |station| station.time)
     }
@@ -186,10 +184,7 @@ impl Path {
             .min(last);
         let (Some(from), Some(to)) = (self.stations.get(index), self.stations.get(index + 1))
         else {
-            return ReferencePoint {
-                position: None,
-                velocity: Velocity::zeros(),
-            };
+            return ReferencePoint::default();
         };
         let whole = to.time - from.time;
         let elapsed = (time - from.time).clamp(0.0, whole);

@@ -52,19 +52,16 @@ impl Circle {
     }
 
     /// The centre, in m.
-    #[must_use]
     pub const fn centre(&self) -> Position {
         self.centre
     }
 
     /// The radius, in m.
-    #[must_use]
     pub const fn radius(&self) -> f64 {
         self.radius
     }
 
     /// The angular velocity, in rad/s.
-    #[must_use]
     pub const fn angular_velocity(&self) -> f64 {
         self.angular_velocity
     }
@@ -196,14 +193,12 @@ impl VelocitySteps {
     }
 
     /// The end of the last step, in s.
-    #[must_use]
     pub fn duration(&self) -> f64 {
         self.steps.last().map_or(0.0, |step| step.0)
     }
 
     /// The position at `time` (s) of an ideal integrator that starts at `start`: the
     /// nominal trajectory of P (equation 6).
-    #[must_use]
     pub fn integrate(&self, start: crate::Position, time: f64) -> crate::Position {
         let mut position = start;
         let mut begin = 0.0;
@@ -302,7 +297,6 @@ impl Waypoints {
     }
 
     /// The waypoints, in order.
-    #[must_use]
     pub fn points(&self) -> &[Waypoint] {
         &self.points
     }
@@ -340,12 +334,8 @@ impl Waypoints {
                     velocity,
                 }
             }
-            (Some(point), None) | (None, Some(point)) => ReferencePoint {
-                position: Some(point.position),
-                velocity: Velocity::zeros(),
-            },
-            (None, None) => ReferencePoint {
-                position: None,
+            (last, next) => ReferencePoint {
+                position: last.or(next).map(|point| point.position),
                 velocity: Velocity::zeros(),
             },
         }

@@ -402,7 +402,6 @@ impl SafetyFilter {
     /// Whether the path bends as the claim assumes: by the angles between which the wheels stand,
     /// but for [`SafetyConfig::curvature_error`]. `wave` as in [`SafetyInput`]. A car that is too
     /// slow to tell does.
-    #[must_use]
     pub fn bends_as_assumed(&self, estimate: &Estimate, wave: f64) -> bool {
         let Range { least, most } = self.on_their_way.widened(wave);
         let range = Range {
@@ -484,7 +483,6 @@ impl SafetyFilter {
     }
 
     /// The centre of mass's distance from the nearest side, m; negative outside.
-    #[must_use]
     pub fn clearance(&self, centre_of_mass: &Position) -> f64 {
         self.config.area.clearance(centre_of_mass)
     }

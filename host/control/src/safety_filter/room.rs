@@ -32,7 +32,6 @@ impl SafetyFilter {
     /// How far from a side of its area the filter wants the estimated position for a stop, m, for a
     /// side in each direction from the heading. The measured curvature and the estimated sideslip
     /// are those of angles between which the wheels may stand.
-    #[must_use]
     pub fn room(&self, states: &StopBox) -> [f64; ROOM_DIRECTIONS] {
         let curvatures = |[least, most]: [f64; 2]| Range {
             least: self.curvature(least),

@@ -37,7 +37,6 @@ pub struct Stop {
 
 impl Stop {
     /// The way to standstill from a speed in either direction (m/s), in m.
-    #[must_use]
     pub const fn way(&self, speed: f64) -> f64 {
         let pace = speed.abs();
         pace * self.reaction + 0.5 * pace * pace / self.braking
@@ -45,7 +44,6 @@ impl Stop {
 
     /// The speed from which the car stands within a way of `way` m, in m/s; 0 if that is NaN or
     /// negative.
-    #[must_use]
     pub fn fastest(&self, way: f64) -> f64 {
         if way.is_nan() || way <= 0.0 {
             return 0.0;
@@ -57,7 +55,6 @@ impl Stop {
 
 /// Where a way of `way` m along a bend (1/m, positive to the left) leads, in m: half of it and all
 /// of it. `course` is the unit vector of the motion, for a negative way that of the motion forward.
-#[must_use]
 pub fn along_bend(course: &Velocity, curvature: f64, way: f64) -> [Velocity; 2] {
     [0.5 * way, way].map(|way| {
         // Beyond half of a circle it comes back.

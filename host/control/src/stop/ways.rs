@@ -89,7 +89,7 @@ impl StopWay {
     ) -> bool {
         let (piece, cones) = self.cones();
         sides.into_iter().all(|side| {
-            let mut distances = Distances::new(&self.from, side, margin, piece, &cones);
+            let mut distances = self.distances(side, margin, piece, &cones);
             // Not `< 0`: NaN is not inside.
             distances.all(|distance| distance >= 0.0)
         })
@@ -103,8 +103,27 @@ impl StopWay {
             outward: *outward,
             offset: outward.dot(&self.from.coords),
         };
-        let nearest = Distances::new(&self.from, &side, margin, piece, &cones);
+        let nearest = self.distances(&side, margin, piece, &cones);
         -nearest.fold(f64::INFINITY, f64::min)
+    }
+
+    /// The least distances from a side after each piece, m, less a margin; the first one is that at
+    /// the beginning.
+    fn distances<'a>(
+        &self,
+        side: &Side,
+        margin: f64,
+        piece: f64,
+        cones: &'a [Cone; PIECES],
+    ) -> impl Iterator<Item = f64> + use<'a> {
+        let from = &self.from;
+        let terms = fabs(side.offset) + fabs(from.x) + fabs(from.y) + margin;
+        let first = side.distance(from) - margin - ROUNDED * terms;
+        let (outward, mut cones) = (side.outward, cones.iter());
+        core::iter::successors(Some(first), move |distance| {
+            let along = piece * cones.next()?.most_along(&outward);
+            Some(distance - along - ROUNDED * (fabs(*distance) + piece))
+        })
     }
 
     /// The length of a piece, and the directions between which the motion lies in each.
@@ -136,47 +155,6 @@ impl StopWay {
             cone
         });
         (piece, cones)
-    }
-}
-
-/// The least distances from a side after each piece, m, less a margin; the first one is that at
-/// the beginning.
-#[derive(Clone)]
-struct Distances<'a> {
-    next: Option<f64>,
-    piece: f64,
-    outward: Velocity,
-    cones: core::slice::Iter<'a, Cone>,
-}
-
-impl<'a> Distances<'a> {
-    fn new(
-        from: &Position,
-        side: &Side,
-        margin: f64,
-        piece: f64,
-        cones: &'a [Cone; PIECES],
-    ) -> Self {
-        let terms = fabs(side.offset) + fabs(from.x) + fabs(from.y) + margin;
-        Self {
-            next: Some(side.distance(from) - margin - ROUNDED * terms),
-            piece,
-            outward: side.outward,
-            cones: cones.iter(),
-        }
-    }
-}
-
-impl Iterator for Distances<'_> {
-    type Item = f64;
-
-    fn next(&mut self) -> Option<f64> {
-        let distance = self.next?;
-        self.next = self.cones.next().map(|cone| {
-            let along = self.piece * cone.most_along(&self.outward);
-            distance - along - ROUNDED * (fabs(distance) + self.piece)
-        });
-        Some(distance)
     }
 }
 
@@ -411,7 +389,7 @@ mod tests {
             };
             let side = Side { outward: direction(outward), offset };
             let (piece, cones) = way.cones();
-            let judged: Vec<f64> = Distances::new(&way.from, &side, margin, piece, &cones).collect();
+            let judged: Vec<f64> = way.distances(&side, margin, piece, &cones).collect();
             let real = real_distances(&way, outward, offset, margin);
             prop_assert_eq!(judged.len(), real.len());
             for (judged, real) in judged.into_iter().zip(real) {

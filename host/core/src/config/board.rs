@@ -9,7 +9,7 @@ use singletrack_protocol::{
 };
 use singletrack_settings::{Convert as _, Declared as _, Maps as _, section};
 
-use super::ConfigError;
+use super::{ConfigError, refuse_if};
 
 /// The rate of the firmware, in baud.
 const BAUD: NonZeroU32 = NonZeroU32::new(115_200).unwrap();
@@ -33,13 +33,9 @@ impl SerialSection {
     }
 
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        if self.port.as_os_str().is_empty() {
-            return Err(ConfigError::value(
-                "serial.port",
-                "empty",
-                "name the board's device, such as \"/dev/ttyACM0\"",
-            ));
-        }
+        let is_empty = self.port.as_os_str().is_empty();
+        let fix = "name the board's device, such as \"/dev/ttyACM0\"";
+        refuse_if(is_empty, "serial.port", "empty", fix)?;
         Ok(self.check()?)
     }
 }
@@ -182,70 +178,64 @@ impl BoardSection {
 
     /// Refuses what the board would refuse, and what only the file can tell.
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        match self.contradiction() {
+            Some(error) => Err(error),
+            None => Ok(self.configuration().validate()?),
+        }
+    }
+
+    /// What contradicts in the section that the board can't know.
+    fn contradiction(&self) -> Option<ConfigError> {
         let esc = &self.esc;
         let brakes = self.failsafe == FailsafeAction::Brake;
-        match esc.kind {
-            None if brakes || self.speed.max_reverse_mm_s != 0 => {
-                return Err(ConfigError::value(
-                    "board.esc.kind",
-                    "missing",
-                    "failsafe = \"brake\" and reverse send pulses below neutral, whose meaning \
-                     depends on the ESC: write \"car\", \"forward-reverse\" or \"vesc\"",
-                ));
-            }
-            _ if brakes && self.kill_output => {
-                return Err(ConfigError::value(
-                    "board.failsafe",
-                    "brake",
-                    "board.kill_output takes the ESC's supply at once, and without it nothing \
-                     brakes; use \"coast\"",
-                ));
-            }
-            Some(EscKind::ForwardReverse) if brakes => {
-                return Err(ConfigError::value(
-                    "board.failsafe",
-                    "brake",
-                    "an ESC of board.esc.kind = \"forward-reverse\" has no brake: the pulse would \
-                     drive the car backwards; use \"coast\"",
-                ));
-            }
-            Some(EscKind::Vesc) if self.speed.max_reverse_mm_s != 0 => {
-                return Err(ConfigError::value(
-                    "board.speed.max_reverse_mm_s",
-                    self.speed.max_reverse_mm_s,
-                    "an ESC of board.esc.kind = \"vesc\" brakes below neutral and has no reverse; \
-                     use 0",
-                ));
-            }
-            Some(kind @ (EscKind::Car | EscKind::Vesc)) if esc.brake_us.is_none() => {
-                return Err(ConfigError::value(
-                    "board.esc.brake_us",
-                    "missing",
-                    format!("board.esc.kind = \"{kind}\" needs it"),
-                ));
-            }
-            _ => {}
-        }
+        let reverse = self.speed.max_reverse_mm_s;
         let distance_um = self.speed.pulse_distance_um;
-        if !(100..=30_000).contains(&distance_um) {
-            return Err(ConfigError::value(
+        let ImuSection { forward, left, up } = self.imu;
+        let (key, value, fix) = match esc.kind {
+            None if brakes || reverse != 0 => (
+                "board.esc.kind",
+                "missing".to_owned(),
+                "failsafe = \"brake\" and reverse send pulses below neutral, whose meaning depends \
+                 on the ESC: write \"car\", \"forward-reverse\" or \"vesc\"",
+            ),
+            _ if brakes && self.kill_output => (
+                "board.failsafe",
+                "brake".to_owned(),
+                "board.kill_output takes the ESC's supply at once, and without it nothing brakes; \
+                 use \"coast\"",
+            ),
+            Some(EscKind::ForwardReverse) if brakes => (
+                "board.failsafe",
+                "brake".to_owned(),
+                "an ESC of board.esc.kind = \"forward-reverse\" has no brake: the pulse would \
+                 drive the car backwards; use \"coast\"",
+            ),
+            Some(EscKind::Vesc) if reverse != 0 => (
+                "board.speed.max_reverse_mm_s",
+                reverse.to_string(),
+                "an ESC of board.esc.kind = \"vesc\" brakes below neutral and has no reverse; \
+                 use 0",
+            ),
+            Some(kind @ (EscKind::Car | EscKind::Vesc)) if esc.brake_us.is_none() => {
+                let fix = format!("board.esc.kind = \"{kind}\" needs it");
+                return Some(ConfigError::value("board.esc.brake_us", "missing", fix));
+            }
+            _ if !(100..=30_000).contains(&distance_um) => (
                 "board.speed.pulse_distance_um",
-                distance_um,
+                distance_um.to_string(),
                 "must be 100 to 30000: with a longer distance the board can't tell a slow car from \
-                 one that stands or whose sensor is dead; use a sensor with more edges per turn, or \
-                 one on the motor instead of on the wheel",
-            ));
-        }
-        if !self.imu.apply_to(ImuAxes::AS_PRINTED).is_mounting() {
-            let ImuSection { forward, left, up } = self.imu;
-            return Err(ConfigError::value(
+                 one that stands or whose sensor is dead; use a sensor with more edges per turn, \
+                 or one on the motor instead of on the wheel",
+            ),
+            _ if !self.imu.apply_to(ImuAxes::AS_PRINTED).is_mounting() => (
                 "board.imu",
                 format!("{forward}, {left}, {up}"),
                 "no chip can be mounted like this: each of x, y and z must point along one axis, \
                  and the three must be right-handed",
-            ));
-        }
-        Ok(self.configuration().validate()?)
+            ),
+            _ => return None,
+        };
+        Some(ConfigError::value(key, value, fix))
     }
 }
 

@@ -11,7 +11,7 @@ use singletrack_control::{
 };
 use singletrack_settings::{Declared as _, Maps as _, ValueError, section};
 
-use super::{Config, ConfigError, ServoSection};
+use super::{Config, ConfigError, ServoSection, refuse_if};
 
 const PAPER: VehicleParameters = VehicleParameters::paper();
 
@@ -298,14 +298,10 @@ section! {
 impl OnlineCalibrationSection {
     /// Refuses live calibration with the safety filter, which rests on the configured steering.
     pub(super) fn validate(self, config: &Config) -> Result<(), ConfigError> {
-        if self.mode == OnlineCalibrationMode::Live && config.safety_filter.enabled {
-            return Err(ConfigError::value(
-                "online_calibration.mode",
-                "\"live\"",
-                "the safety filter rests on the configured steering; use \"advice\", or set \
-                 safety_filter.enabled = false",
-            ));
-        }
+        let is_refused = self.mode == OnlineCalibrationMode::Live && config.safety_filter.enabled;
+        let fix = "the safety filter rests on the configured steering; use \"advice\", or set \
+                   safety_filter.enabled = false";
+        refuse_if(is_refused, "online_calibration.mode", "\"live\"", fix)?;
         Ok(self.check()?)
     }
 

@@ -1,13 +1,11 @@
 //! Values of different sections that must agree.
 
-use core::fmt::Display;
-
 use singletrack_control::GRAVITY;
 
 use singletrack_pilot::{REST, SupervisorConfig};
 use singletrack_settings::seconds;
 
-use super::{Config, ConfigError, ReferenceSection};
+use super::{Config, ConfigError, ReferenceSection, refuse_if};
 
 /// From a disarm request to a disarmed board, ms: the request on the line, sent twice, the
 /// board's next round, and the error of its clock.
@@ -22,24 +20,16 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
         watch,
         ..
     } = config;
-    let fastest = f64::from(board.speed.max_forward_mm_s) / 1_000.0;
-    refuse_if(
-        limits.max_speed_m_s > fastest,
-        "limits.max_speed_m_s",
-        limits.max_speed_m_s,
-        format!(
-            "the board obeys at most {fastest} m/s; lower it, or raise board.speed.max_forward_mm_s"
-        ),
-    )?;
-    let fastest = f64::from(board.speed.max_reverse_mm_s) / 1_000.0;
-    refuse_if(
-        limits.max_reverse_speed_m_s > fastest,
-        "limits.max_reverse_speed_m_s",
-        limits.max_reverse_speed_m_s,
-        format!(
-            "the board obeys at most {fastest} m/s; lower it, or raise board.speed.max_reverse_mm_s"
-        ),
-    )?;
+    let obeyed = |mm_s: u16, key: &str| {
+        let fastest = f64::from(mm_s) / 1_000.0;
+        let fix = format!("the board obeys at most {fastest} m/s; lower it, or raise {key}");
+        (fastest, fix)
+    };
+    let (fastest, fix) = obeyed(board.speed.max_forward_mm_s, "board.speed.max_forward_mm_s");
+    at_most("limits.max_speed_m_s", limits.max_speed_m_s, fastest, fix)?;
+    let (fastest, fix) = obeyed(board.speed.max_reverse_mm_s, "board.speed.max_reverse_mm_s");
+    let reverse = limits.max_reverse_speed_m_s;
+    at_most("limits.max_reverse_speed_m_s", reverse, fastest, fix)?;
     let servo = &board.servo;
     let room_us = (servo.max_us.saturating_sub(servo.centre_us))
         .min(servo.centre_us.saturating_sub(servo.min_us));
@@ -53,91 +43,60 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
             (left.min(-right), "correct actuators.steering_table")
         }
     };
-    refuse_if(
-        limits.max_steering_rad > reach_rad,
-        "limits.max_steering_rad",
-        limits.max_steering_rad,
-        format!("the servo's pulses reach {reach_rad:.3} rad; lower it, or {fix}"),
-    )?;
-    let pose = &config.motion_capture.pose;
-    refuse_if(
-        pose.max_speed_m_s <= limits.max_speed_m_s,
-        "motion_capture.pose.max_speed_m_s",
-        pose.max_speed_m_s,
-        format!(
-            "poses of a car at limits.max_speed_m_s, {} m/s, would be refused; raise it",
-            limits.max_speed_m_s
-        ),
-    )?;
-    refuse_if(
-        watch.max_gap_ms < 2 * control.period_ms,
-        "watch.max_gap_ms",
-        watch.max_gap_ms,
-        format!(
-            "every tick would be late: give it two periods, {} ms, or lower control.period_ms",
-            2 * control.period_ms
-        ),
-    )?;
-    let ticks_per_s = 1_000 / control.period_ms;
-    refuse_if(
-        watch.max_missed_ticks_per_s >= ticks_per_s,
-        "watch.max_missed_ticks_per_s",
-        watch.max_missed_ticks_per_s,
-        format!(
-            "with control.period_ms = {} there are {ticks_per_s} ticks in a second; lower it",
-            control.period_ms
-        ),
-    )?;
+    let fix = format!("the servo's pulses reach {reach_rad:.3} rad; lower it, or {fix}");
+    let steering = limits.max_steering_rad;
+    at_most("limits.max_steering_rad", steering, reach_rad, fix)?;
+    let (pose, fastest) = (&config.motion_capture.pose, limits.max_speed_m_s);
+    let (key, accepted) = ("motion_capture.pose.max_speed_m_s", pose.max_speed_m_s);
+    let fix = format!(
+        "poses of a car at limits.max_speed_m_s, {fastest} m/s, would be refused; raise it"
+    );
+    refuse_if(accepted <= fastest, key, accepted, fix)?;
+    let (gap_ms, two_ms) = (watch.max_gap_ms, 2 * control.period_ms);
+    let fix = format!(
+        "every tick would be late: give it two periods, {two_ms} ms, or lower control.period_ms"
+    );
+    refuse_if(gap_ms < two_ms, "watch.max_gap_ms", gap_ms, fix)?;
+    let (missed, ticks_per_s) = (watch.max_missed_ticks_per_s, 1_000 / control.period_ms);
+    let fix = format!(
+        "with control.period_ms = {} there are {ticks_per_s} ticks in a second; lower it",
+        control.period_ms
+    );
+    let key = "watch.max_missed_ticks_per_s";
+    refuse_if(missed >= ticks_per_s, key, missed, fix)?;
     let grip = config.vehicle.friction * GRAVITY;
-    refuse_if(
-        limits.max_lateral_acceleration_m_s2 > grip,
-        "limits.max_lateral_acceleration_m_s2",
-        limits.max_lateral_acceleration_m_s2,
-        format!(
-            "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity); lower it to that at most"
-        ),
-    )?;
+    let lateral = limits.max_lateral_acceleration_m_s2;
+    let fix = format!(
+        "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity); lower it to that at most"
+    );
+    at_most("limits.max_lateral_acceleration_m_s2", lateral, grip, fix)?;
     let esc = board.configuration().esc;
-    refuse_if(
-        esc.max_us <= esc.neutral_us.saturating_add(esc.deadband_us),
-        "board.esc.max_us",
-        esc.max_us,
-        format!(
-            "the wheels turn beyond {} us only (neutral_us and deadband_us): the car would never drive",
-            esc.neutral_us.saturating_add(esc.deadband_us)
-        ),
-    )?;
+    let edge_us = esc.neutral_us.saturating_add(esc.deadband_us);
+    let fix = format!(
+        "the wheels turn beyond {edge_us} us only (neutral_us and deadband_us): the car would \
+         never drive"
+    );
+    refuse_if(esc.max_us <= edge_us, "board.esc.max_us", esc.max_us, fix)?;
     path_within_limits(config)?;
     let [low, high] = pose.height_m.unwrap_or_default();
-    refuse_if(
-        low > high,
-        "motion_capture.pose.height_m",
-        low,
-        format!("the band ends at {high} m; give the lower value first"),
-    )?;
+    let fix = format!("the band ends at {high} m; give the lower value first");
+    at_most("motion_capture.pose.height_m", low, high, fix)?;
     let disarmed_ms = disarmed_ms(config, limits.max_speed_m_s);
-    refuse_if(
-        disarmed_ms > f64::from(board.max_pose_age_ms) + ROUNDING,
-        "board.max_pose_age_ms",
-        board.max_pose_age_ms,
-        format!(
-            "the host holds a lost pose for supervisor.hold_ms or hold_distance_m, stops from \
-             limits.max_speed_m_s and disarms within {disarmed_ms:.0} ms, and must be first; raise \
-             it (up to 1000), shorten the hold, lower the speed or brake harder; with 1000 ms this \
-             braking (control.stop_deceleration_m_s2) allows {:.2} m/s",
-            fastest_stopped(config)
-        ),
-    )?;
-    refuse_if(
-        config.fence.braking_m_s2 > control.stop_deceleration_m_s2,
-        "fence.braking_m_s2",
-        config.fence.braking_m_s2,
-        format!(
-            "a stop is commanded with control.stop_deceleration_m_s2 = {} m/s2, so the car does \
-             not slow down faster; lower it, or raise that",
-            control.stop_deceleration_m_s2
-        ),
-    )
+    let is_late = disarmed_ms > f64::from(board.max_pose_age_ms) + ROUNDING;
+    let fix = format!(
+        "the host holds a lost pose for supervisor.hold_ms or hold_distance_m, stops from \
+         limits.max_speed_m_s and disarms within {disarmed_ms:.0} ms, and must be first; raise it \
+         (up to 1000), shorten the hold, lower the speed or brake harder; with 1000 ms this \
+         braking (control.stop_deceleration_m_s2) allows {:.2} m/s",
+        fastest_stopped(config)
+    );
+    refuse_if(is_late, "board.max_pose_age_ms", board.max_pose_age_ms, fix)?;
+    let ramp = control.stop_deceleration_m_s2;
+    let fix = format!(
+        "a stop is commanded with control.stop_deceleration_m_s2 = {ramp} m/s2, so the car does \
+         not slow down faster; lower it, or raise that"
+    );
+    at_most("fence.braking_m_s2", config.fence.braking_m_s2, ramp, fix)
 }
 
 /// Refuses a path whose speed profile goes beyond what the controller lets the car do.
@@ -152,34 +111,18 @@ fn path_within_limits(config: &Config) -> Result<(), ConfigError> {
         return Ok(());
     };
     let limits = &config.limits;
-    for (key, value, limit, most) in [
-        (
-            "reference.speed_m_s",
-            speed_m_s,
-            "limits.max_speed_m_s",
-            limits.max_speed_m_s,
-        ),
-        (
-            "reference.lateral_acceleration_m_s2",
-            lateral_acceleration_m_s2,
-            "limits.max_lateral_acceleration_m_s2",
-            limits.max_lateral_acceleration_m_s2,
-        ),
-        (
-            "reference.acceleration_m_s2",
-            acceleration_m_s2,
-            "limits.max_acceleration_m_s2",
-            limits.max_acceleration_m_s2,
-        ),
-    ] {
-        refuse_if(
-            value > most,
-            key,
-            value,
-            format!("{limit} is {most}; lower it to that at most, better to less"),
-        )?;
-    }
-    Ok(())
+    let lateral = limits.max_lateral_acceleration_m_s2;
+    let less = |limit: &str, most: f64| {
+        format!("limits.{limit} is {most}; lower it to that at most, better to less")
+    };
+    let fix = less("max_speed_m_s", limits.max_speed_m_s);
+    at_most("reference.speed_m_s", speed_m_s, limits.max_speed_m_s, fix)?;
+    let fix = less("max_lateral_acceleration_m_s2", lateral);
+    let key = "reference.lateral_acceleration_m_s2";
+    at_most(key, lateral_acceleration_m_s2, lateral, fix)?;
+    let most = limits.max_acceleration_m_s2;
+    let fix = less("max_acceleration_m_s2", most);
+    at_most("reference.acceleration_m_s2", acceleration_m_s2, most, fix)
 }
 
 /// What rounding adds to a time in ms.
@@ -248,14 +191,7 @@ fn longest_blind_drive(config: &Config, max_speed: f64) -> f64 {
     stops + period + (REST / period - 1e-9).ceil() * period
 }
 
-fn refuse_if(
-    is_wrong: bool,
-    key: &'static str,
-    value: impl Display,
-    fix: String,
-) -> Result<(), ConfigError> {
-    match is_wrong {
-        true => Err(ConfigError::value(key, value, fix)),
-        false => Ok(()),
-    }
+/// Refuses a value above `most`.
+fn at_most(key: &'static str, value: f64, most: f64, fix: String) -> Result<(), ConfigError> {
+    refuse_if(value > most, key, value, fix)
 }

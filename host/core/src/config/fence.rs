@@ -135,12 +135,10 @@ impl GovernorSection {
         let area = config.fence.convex(&config.vehicle, "governor")?;
         let braking = config.fence.braking_m_s2;
         let room = Room::new(&area, braking, REACTION_S).ok_or_else(|| {
-            ConfigError::value(
-                "fence.margin_m",
-                config.fence.margin_m(&config.vehicle),
-                "the governor keeps 5 cm more, and nothing is left; lower it, give a larger \
-                 fence.corners_m, or set governor.enabled = false",
-            )
+            let value = config.fence.margin_m(&config.vehicle);
+            let fix = "the governor keeps 5 cm more, and nothing is left; lower it, give a larger \
+                       fence.corners_m, or set governor.enabled = false";
+            ConfigError::value("fence.margin_m", value, fix)
         })?;
         Ok(Some(GovernorConfig {
             law,
@@ -258,17 +256,15 @@ impl SafetyFilterSection {
         let ticks = (settled_ms / period_ms).ceil();
         let most = MAX_STEERING_TICKS - 1;
         if ticks > most as f64 {
-            return Err(ConfigError::value(
-                "actuators.steering_lag_ms",
-                actuators.steering_lag_ms,
-                format!(
-                    "the servo needs {settled_ms} ms (its dead time, {SETTLED} lags and \
-                     {LINE_MS} ms), and the safety filter follows it for {} ms at \
-                     control.period_ms = {period_ms}; raise that, use a faster servo, or set \
-                     safety_filter.enabled = false",
-                    most as f64 * period_ms
-                ),
-            ));
+            let value = actuators.steering_lag_ms;
+            let fix = format!(
+                "the servo needs {settled_ms} ms (its dead time, {SETTLED} lags and \
+                 {LINE_MS} ms), and the safety filter follows it for {} ms at \
+                 control.period_ms = {period_ms}; raise that, use a faster servo, or set \
+                 safety_filter.enabled = false",
+                most as f64 * period_ms
+            );
+            return Err(ConfigError::value("actuators.steering_lag_ms", value, fix));
         }
         let residuals = config.residuals();
         let limits = config.limits.limits(config.vehicle.wheelbase_m());
@@ -330,6 +326,7 @@ impl NeighboursSection {
     /// A body is both expected and ignored, or is the car's own; or others are expected without the
     /// safety filter.
     pub(super) fn config(&self, config: &Config) -> Result<Option<NeighbourConfig>, ConfigError> {
+        const EXPECTED: &str = "neighbours.expected";
         let own = &config.motion_capture.rigid_body;
         for name in &self.expected {
             let fix = match self.ignored.contains(name) {
@@ -337,23 +334,17 @@ impl NeighboursSection {
                 false if name == own => "it is this car's own body: remove it",
                 false => continue,
             };
-            return Err(ConfigError::value(
-                "neighbours.expected",
-                format!("{name:?}"),
-                fix,
-            ));
+            return Err(ConfigError::value(EXPECTED, format!("{name:?}"), fix));
         }
         if !self.enabled {
             return Ok(None);
         }
         // The car that has the right of way relies on the filter of the other one.
         if !self.expected.is_empty() && !config.safety_filter.enabled {
-            return Err(ConfigError::value(
-                "neighbours.expected",
-                format!("{:?}", self.expected),
-                "these cars rely on this one to wait for them: set safety_filter.enabled = true, or \
-                 empty the list",
-            ));
+            let value = format!("{:?}", self.expected);
+            let fix = "these cars rely on this one to wait for them: set safety_filter.enabled = \
+                       true, or empty the list";
+            return Err(ConfigError::value(EXPECTED, value, fix));
         }
         let reaction_ms = self.reaction_ms.unwrap_or_else(|| {
             config.safety_filter.reaction_ms(config) + 2.0 * f64::from(config.control.period_ms)

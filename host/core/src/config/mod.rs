@@ -17,10 +17,7 @@ mod supervisor;
 mod tuning;
 
 use core::fmt;
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, path::Path};
 
 use singletrack_control::{
     LawError, ReferenceError, SteeringMap, VehicleParameterError, VehicleParameters,
@@ -50,9 +47,7 @@ pub use outer_loop::{
 };
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
 pub use own_loop::{OwnLoop, OwnLoopKind, OwnLoopSection, link_own_loops, own_loops};
-pub use reference::{
-    PathPoints, ReferenceSection, StepSection, WaypointFileError, WaypointSection,
-};
+pub use reference::{PathPoints, ReferenceSection, StepSection, WaypointSection};
 pub use singletrack_control::{MarkerLoss, Start};
 pub use singletrack_mocap::UpAxis;
 pub use singletrack_protocol::{EscKind, FailsafeAction, ImuAxis};
@@ -159,12 +154,12 @@ impl Config {
     ///
     /// The file can't be read, is not valid TOML, or has an invalid key or value.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = reference::read_text(path).map_err(|source| ConfigError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
+        let shown = path.display();
+        let text = reference::read_text(path)
+            .map_err(|error| ConfigError::Text(format!("can't read {shown}: {error}")))?;
+        let refused = |why: &dyn fmt::Display| ConfigError::Text(format!("{shown}: {why}"));
         let mut config: Self =
-            toml::from_str(&text).map_err(|error| ConfigError::parse(Some(path), &text, &error))?;
+            toml::from_str(&text).map_err(|error| refused(&explain(&text, &error)))?;
         if let Some(folder) = path.parent() {
             config.reference.resolve(folder);
             if let Some(references) = &mut config.socket.reference_folder {
@@ -175,10 +170,7 @@ impl Config {
             }
         }
         config.fence.resolve(&config.vehicle);
-        config.validate().map_err(|error| ConfigError::File {
-            path: path.to_owned(),
-            source: Box::new(error),
-        })?;
+        config.validate().map_err(|error| refused(&error))?;
         Ok(config)
     }
 
@@ -189,7 +181,7 @@ impl Config {
     /// The file can't be read, is not valid TOML, or has an invalid key or value.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let mut config: Self =
-            toml::from_str(text).map_err(|error| ConfigError::parse(None, text, &error))?;
+            toml::from_str(text).map_err(|error| ConfigError::Text(explain(text, &error)))?;
         config.fence.resolve(&config.vehicle);
         config.validate()?;
         Ok(config)
@@ -221,13 +213,9 @@ impl Config {
         self.motion_capture.validate()?;
         self.motion_capture.session()?;
         self.vehicle.validate()?;
-        if self.law.kind != LawKind::FrontPoint {
-            return Err(ConfigError::value(
-                "law.kind",
-                "velocity-point",
-                "the car is driven with \"front-point\" only; the other is for simulations",
-            ));
-        }
+        let is_other = self.law.kind != LawKind::FrontPoint;
+        let fix = "the car is driven with \"front-point\" only; the other is for simulations";
+        refuse_if(is_other, "law.kind", "velocity-point", fix)?;
         self.law.validate(&self.vehicle)?;
         self.outer_loop.validate()?;
         self.outer_loop.validate_for(&self.reference.reference()?)?;
@@ -361,39 +349,10 @@ fn software_version() -> [u8; 3] {
 /// Why a configuration is refused: key, value and fix.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// The file can't be read.
-    #[error("can't read {}: {source}", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The text does not parse: a syntax error, an unknown or a missing key, a value of the
-    /// wrong type.
-    #[error("{}{message}", prefix(.path))]
-    Parse {
-        /// The file, if it came from one.
-        path: Option<PathBuf>,
-        /// Where and why.
-        message: String,
-    },
-    /// The file can be read and is refused.
-    #[error("{}: {source}", .path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// The error.
-        source: Box<Self>,
-    },
-    /// The file of waypoints is refused.
-    #[error("reference.file: {}: {source}", .path.display())]
-    Waypoints {
-        /// The file.
-        path: PathBuf,
-        /// Where and why.
-        source: WaypointFileError,
-    },
+    /// A file can't be read, its text does not parse (a syntax error, an unknown or a missing key,
+    /// a value of the wrong type), or it is refused: which, where and why.
+    #[error("{0}")]
+    Text(String),
     /// The reference is invalid.
     #[error("reference.{0}")]
     Reference(#[from] ReferenceError),
@@ -422,13 +381,18 @@ impl ConfigError {
     ) -> Self {
         ValueError::new(key, value, fix).into()
     }
+}
 
-    /// The explanation why `text`, from a file or not, does not parse.
-    pub(crate) fn parse(path: Option<&Path>, text: &str, error: &toml::de::Error) -> Self {
-        Self::Parse {
-            path: path.map(Path::to_owned),
-            message: explain(text, error),
-        }
+/// Refuses the value of a key if it is wrong.
+pub(crate) fn refuse_if(
+    is_wrong: bool,
+    key: &'static str,
+    value: impl fmt::Display,
+    fix: impl Into<String>,
+) -> Result<(), ConfigError> {
+    match is_wrong {
+        true => Err(ConfigError::value(key, value, fix)),
+        false => Ok(()),
     }
 }
 
@@ -452,11 +416,6 @@ fn board_message(error: &ConfigurationError) -> String {
         _ => "",
     };
     format!("board.{error}{coarse}")
-}
-
-fn prefix(path: &Option<PathBuf>) -> String {
-    path.as_ref()
-        .map_or_else(String::new, |path| format!("{}: ", path.display()))
 }
 
 /// The name of this software in the metadata.

@@ -3,10 +3,9 @@
 use core::{
     f64::consts::PI,
     net::{IpAddr, Ipv4Addr},
-    str::FromStr,
 };
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use serde::{Deserialize, Serialize};
 use singletrack_control::words;
 use singletrack_mocap::{
     DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, DEFAULT_QUATERNION_NORM_TOLERANCE, PoseLimits,
@@ -140,13 +139,14 @@ impl TimingSection {
 }
 
 /// A NatNet bitstream version, written `"4.1"`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct Bitstream(pub BitstreamVersion);
 
-impl FromStr for Bitstream {
-    type Err = String;
+impl TryFrom<String> for Bitstream {
+    type Error = String;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn try_from(text: String) -> Result<Self, String> {
         let (major, minor) = text
             .split_once('.')
             .and_then(|(major, minor)| Some((major.parse().ok()?, minor.parse().ok()?)))
@@ -157,17 +157,9 @@ impl FromStr for Bitstream {
     }
 }
 
-impl Serialize for Bitstream {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(&self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for Bitstream {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        String::deserialize(deserializer)?
-            .parse()
-            .map_err(de::Error::custom)
+impl From<Bitstream> for String {
+    fn from(bitstream: Bitstream) -> Self {
+        bitstream.0.to_string()
     }
 }
 
@@ -208,11 +200,9 @@ impl MotionCaptureSection {
             self.up_axis,
         )
         .map_err(|error| {
-            ConfigError::value(
-                "motion_capture.rigid_body",
-                format!("{:?}", self.rigid_body),
-                error.to_string(),
-            )
+            let value = format!("{:?}", self.rigid_body);
+            let fix = error.to_string();
+            ConfigError::value("motion_capture.rigid_body", value, fix)
         })?;
         config.session.protocol = self.protocol();
         config.session.command_port = self.port();
@@ -235,80 +225,59 @@ impl MotionCaptureSection {
     }
 
     fn validate_network(&self) -> Result<(), ConfigError> {
-        if self.server.is_unspecified() || self.server.is_multicast() || self.server.is_broadcast()
-        {
-            return Err(ConfigError::value(
+        let (server, body) = (self.server, &self.rigid_body);
+        let is_no_host = server.is_unspecified() || server.is_multicast() || server.is_broadcast();
+        let bitstream = self.bitstream.map(|bitstream| bitstream.0.to_string());
+        let (key, value, fix) = match (self.kind, self.transport, bitstream) {
+            _ if is_no_host => (
                 "motion_capture.server",
-                self.server,
+                server.to_string(),
                 "give the address of the computer that runs the motion capture",
-            ));
-        }
-        let refused = |key, value: &str, fix: &str| Err(ConfigError::value(key, value, fix));
-        match (self.kind, self.transport) {
-            (ServerKind::NatNet, TransportKind::Tcp) => {
-                return refused(
-                    "motion_capture.transport",
-                    "\"tcp\"",
-                    "NatNet sends frames on UDP: \"unicast\" or \"multicast\"",
-                );
-            }
-            (ServerKind::Vrpn | ServerKind::Qualisys, TransportKind::Multicast) => {
-                return refused(
-                    "motion_capture.transport",
-                    "\"multicast\"",
-                    "only NatNet has it: write \"unicast\" or \"tcp\"",
-                );
-            }
-            (ServerKind::Vrpn | ServerKind::Qualisys, _) if self.bitstream.is_some() => {
-                return refused(
-                    "motion_capture.bitstream",
-                    &self
-                        .bitstream
-                        .map_or_else(String::new, |it| it.0.to_string()),
-                    "only NatNet has it: leave it out",
-                );
-            }
-            (ServerKind::NatNet | ServerKind::Qualisys, _) if self.sensor != 0 => {
-                return refused(
-                    "motion_capture.sensor",
-                    &self.sensor.to_string(),
-                    "only kind = \"vrpn\" has sensors: leave it out",
-                );
-            }
-            (ServerKind::Vrpn, _)
-                if self.rigid_body.len() > 99 || self.rigid_body.contains('@') =>
-            {
-                return refused(
-                    "motion_capture.rigid_body",
-                    &format!("{:?}", self.rigid_body),
-                    "write the tracker's name alone, of at most 99 bytes: \"car\" for \
-                     car@192.168.1.10:3883, with server = \"192.168.1.10\" and command_port = 3883",
-                );
-            }
-            (_, TransportKind::Unicast | TransportKind::Tcp) => return Ok(()),
-            (ServerKind::NatNet, TransportKind::Multicast) => {}
-        }
-        if !self.group.is_multicast() {
-            return Err(ConfigError::value(
-                "motion_capture.group",
-                self.group,
-                "it must be a multicast address, 224.0.0.0 to 239.255.255.255",
-            ));
-        }
-        if self.interface.is_unspecified() {
-            return Err(ConfigError::value(
-                "motion_capture.interface",
-                self.interface,
-                "multicast needs the local address of the cameras' network",
-            ));
-        }
-        if let Some(bitstream) = self.bitstream {
-            return Err(ConfigError::value(
+            ),
+            (ServerKind::NatNet, TransportKind::Tcp, _) => (
+                "motion_capture.transport",
+                "\"tcp\"".to_owned(),
+                "NatNet sends frames on UDP: \"unicast\" or \"multicast\"",
+            ),
+            (ServerKind::Vrpn | ServerKind::Qualisys, TransportKind::Multicast, _) => (
+                "motion_capture.transport",
+                "\"multicast\"".to_owned(),
+                "only NatNet has it: write \"unicast\" or \"tcp\"",
+            ),
+            (ServerKind::Vrpn | ServerKind::Qualisys, _, Some(bitstream)) => (
                 "motion_capture.bitstream",
-                bitstream.0,
+                bitstream,
+                "only NatNet has it: leave it out",
+            ),
+            (ServerKind::NatNet | ServerKind::Qualisys, ..) if self.sensor != 0 => (
+                "motion_capture.sensor",
+                self.sensor.to_string(),
+                "only kind = \"vrpn\" has sensors: leave it out",
+            ),
+            (ServerKind::Vrpn, ..) if body.len() > 99 || body.contains('@') => (
+                "motion_capture.rigid_body",
+                format!("{body:?}"),
+                "write the tracker's name alone, of at most 99 bytes: \"car\" for \
+                 car@192.168.1.10:3883, with server = \"192.168.1.10\" and command_port = 3883",
+            ),
+            (_, TransportKind::Unicast | TransportKind::Tcp, _) => return Ok(()),
+            _ if !self.group.is_multicast() => (
+                "motion_capture.group",
+                self.group.to_string(),
+                "it must be a multicast address, 224.0.0.0 to 239.255.255.255",
+            ),
+            _ if self.interface.is_unspecified() => (
+                "motion_capture.interface",
+                self.interface.to_string(),
+                "multicast needs the local address of the cameras' network",
+            ),
+            (_, _, Some(bitstream)) => (
+                "motion_capture.bitstream",
+                bitstream,
                 "a server only changes it for unicast; leave it out, or use transport = \"unicast\"",
-            ));
-        }
-        Ok(())
+            ),
+            (_, _, None) => return Ok(()),
+        };
+        Err(ConfigError::value(key, value, fix))
     }
 }

@@ -2,6 +2,8 @@
 //! the loops with a model have their weights, and what they believe of the car and of its
 //! reference.
 
+use core::fmt;
+
 use libm::{sqrt, tan};
 use serde::{Deserialize, Serialize};
 use singletrack_control::words;
@@ -14,7 +16,7 @@ use singletrack_pilot::{Compensation, Fence};
 use singletrack_settings::{Written, check_kind, section};
 use toml::Table;
 
-use super::{ActuatorsSection, ConfigError, OwnLoopSection};
+use super::{ActuatorsSection, ConfigError, OwnLoopSection, refuse_if};
 
 section! {
     /// The linearising law.
@@ -262,13 +264,9 @@ impl OuterLoopSection {
     pub fn validate(&self) -> Result<(), ConfigError> {
         if let Self::Proportional { gain_per_s, .. } = self {
             for gain in *gain_per_s {
-                if !(gain.is_finite() && gain >= 0.0) {
-                    return Err(ConfigError::value(
-                        "outer_loop.gain_per_s",
-                        gain,
-                        "each gain must be finite and not negative",
-                    ));
-                }
+                let is_wrong = !(gain.is_finite() && gain >= 0.0);
+                let fix = "each gain must be finite and not negative";
+                refuse_if(is_wrong, "outer_loop.gain_per_s", gain, fix)?;
             }
         }
         Ok(check_kind::<OuterLoopKeys>(self)?)
@@ -388,11 +386,7 @@ impl LoopModel<'_> {
                      drive slower"
                 ),
             ),
-            error => ConfigError::value(
-                "outer_loop.error_weight",
-                error_weight,
-                format!("{error}; bring the weights closer to their defaults"),
-            ),
+            error => far_apart(error, error_weight),
         })
     }
 
@@ -434,11 +428,7 @@ impl LoopModel<'_> {
                 "the predictive loop does not look over so long a dead time; set \
                  compensation.actuation = true, or choose outer_loop.kind = \"proportional\"",
             ),
-            error => ConfigError::value(
-                "outer_loop.error_weight",
-                weights.error_weight,
-                format!("{error}; bring the weights closer to their defaults"),
-            ),
+            error => far_apart(error, weights.error_weight),
         })
     }
 
@@ -477,18 +467,21 @@ fn turn_rate(reference: &Reference) -> f64 {
         .fold(0.0, f64::max)
 }
 
+/// Weights with which no loop is found.
+fn far_apart(error: impl fmt::Display, error_weight: f64) -> ConfigError {
+    let fix = format!("{error}; bring the weights closer to their defaults");
+    ConfigError::value("outer_loop.error_weight", error_weight, fix)
+}
+
 /// Where P may be: the geofence within its margin.
 fn area(fence: &Fence) -> Result<ConvexArea, ConfigError> {
     ConvexArea::new(fence.corners())
         .and_then(|area| area.shrunk(fence.margin()))
         .map_err(|error| {
-            ConfigError::value(
-                "outer_loop.kind",
-                "mpc",
-                format!(
-                    "it plans inside the geofence, but of fence.corners_m {error}; give a convex \
-                     fence that is wider than its margin, or use \"lqi\""
-                ),
-            )
+            let fix = format!(
+                "it plans inside the geofence, but of fence.corners_m {error}; give a convex \
+                 fence that is wider than its margin, or use \"lqi\""
+            );
+            ConfigError::value("outer_loop.kind", "mpc", fix)
         })
 }

@@ -8,7 +8,7 @@ use std::{
 
 use singletrack_settings::section;
 
-use super::ConfigError;
+use super::{ConfigError, refuse_if};
 
 section! {
     /// The record of every tick, one file for each start of the daemon.
@@ -88,43 +88,28 @@ const LONGEST_SOCKET_PATH: usize = 107;
 
 impl RecordSection {
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        if self.enabled && self.directory.as_os_str().is_empty() {
-            return Err(ConfigError::value(
-                "record.directory",
-                "empty",
-                "name a folder for the records, or set record.enabled = false",
-            ));
-        }
-        Ok(())
+        let is_empty = self.enabled && self.directory.as_os_str().is_empty();
+        let fix = "name a folder for the records, or set record.enabled = false";
+        refuse_if(is_empty, "record.directory", "empty", fix)
     }
 }
 
 impl StateSection {
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        if self.directory.as_os_str().is_empty() {
-            return Err(ConfigError::value(
-                "state.directory",
-                "empty",
-                "name a folder for the state file",
-            ));
-        }
-        Ok(())
+        let is_empty = self.directory.as_os_str().is_empty();
+        let fix = "name a folder for the state file";
+        refuse_if(is_empty, "state.directory", "empty", fix)
     }
 }
 
 impl SocketSection {
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        let length = self.path.as_os_str().len();
-        if self.enabled && !(1..=LONGEST_SOCKET_PATH).contains(&length) {
-            return Err(ConfigError::value(
-                "socket.path",
-                self.path.display(),
-                format!(
-                    "it must be 1 to {LONGEST_SOCKET_PATH} bytes long, or set socket.enabled = false"
-                ),
-            ));
-        }
-        Ok(())
+        let fits = (1..=LONGEST_SOCKET_PATH).contains(&self.path.as_os_str().len());
+        let fix = format!(
+            "it must be 1 to {LONGEST_SOCKET_PATH} bytes long, or set socket.enabled = false"
+        );
+        let is_wrong = self.enabled && !fits;
+        refuse_if(is_wrong, "socket.path", self.path.display(), fix)
     }
 }
 
@@ -135,20 +120,14 @@ impl PageSection {
     ///
     /// It listens beyond loopback without a token, or the file of the token has no name.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        match &self.token_file {
-            None if !self.address.is_loopback() => Err(ConfigError::value(
-                "page.address",
-                self.address,
-                "everyone who reaches it sees the page: set page.token_file, or listen on 127.0.0.1 \
-                 and forward the port with SSH",
-            )),
-            Some(path) if path.as_os_str().is_empty() => Err(ConfigError::value(
-                "page.token_file",
-                "empty",
-                "name a file for the token, or leave the key out",
-            )),
-            _ => Ok(()),
-        }
+        let token = self.token_file.as_ref();
+        let is_open = token.is_none() && !self.address.is_loopback();
+        let fix = "everyone who reaches it sees the page: set page.token_file, or listen on \
+                   127.0.0.1 and forward the port with SSH";
+        refuse_if(is_open, "page.address", self.address, fix)?;
+        let is_empty = token.is_some_and(|path| path.as_os_str().is_empty());
+        let fix = "name a file for the token, or leave the key out";
+        refuse_if(is_empty, "page.token_file", "empty", fix)
     }
 }
 

@@ -55,10 +55,8 @@ impl OwnLoopKind {
 
 fn make<L: OwnLoop>(keys: &Table, model: &LoopModel<'_>) -> Result<BoxedLoop, ConfigError> {
     let settings: Result<L::Settings, _> = keys.clone().try_into();
-    let settings = settings.map_err(|error| ConfigError::Parse {
-        path: None,
-        message: format!("outer_loop.own.{}", explain_table(&error)),
-    })?;
+    let settings = settings
+        .map_err(|error| ConfigError::Text(format!("outer_loop.own.{}", explain_table(&error))))?;
     settings.check()?;
     Ok(BoxedLoop::new(L::new(settings, model)?))
 }
@@ -112,22 +110,16 @@ impl OwnLoopSection {
                 [] => "no loop of another crate".to_owned(),
                 known => format!("only {}", known.join(", ")),
             };
-            return Err(ConfigError::value(
-                "outer_loop.name",
-                name,
-                format!("this program has {known}; use the one that was built with {wanted}"),
-            ));
+            let fix = format!("this program has {known}; use the one that was built with {wanted}");
+            return Err(ConfigError::value("outer_loop.name", name, fix));
         };
         if kind.version != version {
-            return Err(ConfigError::value(
-                "outer_loop.version",
-                version,
-                format!(
-                    "this program has {name} {}; use the one that was built with {wanted}, or leave \
-                     the key out of a file to drive with this one",
-                    kind.version
-                ),
-            ));
+            let fix = format!(
+                "this program has {name} {}; use the one that was built with {wanted}, or leave \
+                 the key out of a file to drive with this one",
+                kind.version
+            );
+            return Err(ConfigError::value("outer_loop.version", version, fix));
         }
         (kind.make)(own, model)
     }

@@ -13,8 +13,8 @@ use std::{
 use serde::{Deserialize, Serialize};
 use singletrack_control::words;
 use singletrack_control::{
-    Circle, External, FigureOfEight, Path as SmoothPath, PathSpeed, Position, Reference,
-    ReferenceError, Start, Velocity, VelocityStep, VelocitySteps, Waypoint, Waypoints,
+    Circle, External, FigureOfEight, Path as SmoothPath, PathSpeed, Position, Reference, Start,
+    Velocity, VelocityStep, VelocitySteps, Waypoint, Waypoints,
 };
 use singletrack_settings::{Written, check_kind, seconds, section};
 
@@ -294,16 +294,6 @@ impl ReferenceSection {
         }
     }
 
-    /// Makes a drive begin there, if the kind has the choice.
-    pub const fn start_at(&mut self, wanted: Start) {
-        if let Self::Circle { start, .. }
-        | Self::FigureOfEight { start, .. }
-        | Self::Path { start, .. } = self
-        {
-            *start = wanted;
-        }
-    }
-
     /// The same reference, with nothing left in other files: those may change.
     ///
     /// # Errors
@@ -412,22 +402,18 @@ impl PathPoints {
     fn read(&self) -> Result<Cow<'_, [[f64; 2]]>, ConfigError> {
         match self {
             Self::Points(points) => Ok(points.into()),
-            Self::File(file) => match read_points(file) {
-                Ok(points) => Ok(points.into()),
-                Err(source) => Err(ConfigError::Waypoints {
-                    path: file.to_owned(),
-                    source,
-                }),
-            },
+            Self::File(file) => Ok(refused_in(file, read_points(file))?.into()),
         }
     }
 }
 
 fn waypoints_of(file: &Path) -> Result<Waypoints, ConfigError> {
-    read_waypoints(file).map_err(|source| ConfigError::Waypoints {
-        path: file.to_owned(),
-        source,
-    })
+    refused_in(file, read_waypoints(file))
+}
+
+/// What was read from a file of waypoints or points, or why it is refused.
+fn refused_in<T>(file: &Path, read: Result<T, String>) -> Result<T, ConfigError> {
+    read.map_err(|why| ConfigError::Text(format!("reference.file: {}: {why}", file.display())))
 }
 
 /// Longer than every valid configuration and every valid list of waypoints.
@@ -471,56 +457,16 @@ pub(super) fn read_text(path: &Path) -> io::Result<String> {
     })
 }
 
-/// Why a file of waypoints is refused.
-#[derive(Debug, thiserror::Error)]
-pub enum WaypointFileError {
-    /// The file can't be read.
-    #[error("{0}")]
-    File(#[from] io::Error),
-    /// The file is not CSV.
-    #[error("{0}; write one number for each column, such as 1.5,-0.5")]
-    Csv(#[from] csv::Error),
-    /// The first line does not name the columns.
-    #[error("line 1 must name the columns {columns}, and no others")]
-    Columns {
-        /// The columns that it must name, in any order.
-        columns: String,
-    },
-    /// A field is not a finite number.
-    #[error("line {line}: {column} is no finite number; write one, as 0.5")]
-    Number {
-        /// Counted from 1.
-        line: u64,
-        /// The column of the field.
-        column: &'static str,
-    },
-    /// The waypoints are not in order of time.
-    #[error(
-        "line {line}: t_s is {t_s}, not after {before_s} of the waypoint before; put the lines in order of time"
-    )]
-    Order {
-        /// Counted from 1.
-        line: u64,
-        /// The time of the waypoint.
-        t_s: f64,
-        /// The time of the waypoint before.
-        before_s: f64,
-    },
-    /// There are too few waypoints, or too many.
-    #[error("{0}; write one waypoint a line")]
-    Waypoints(#[from] ReferenceError),
-}
-
-/// The waypoints of a file.
-fn read_waypoints(path: &Path) -> Result<Waypoints, WaypointFileError> {
+/// The waypoints of a file, or why it is refused.
+fn read_waypoints(path: &Path) -> Result<Waypoints, String> {
     let mut waypoints: Vec<Waypoint> = Vec::new();
     read_rows(path, ["t_s", "x_m", "y_m"], |line, [time, x, y]| {
         if let Some(before) = waypoints.last().filter(|before| time <= before.time) {
-            return Err(WaypointFileError::Order {
-                line,
-                t_s: time,
-                before_s: before.time,
-            });
+            return Err(format!(
+                "line {line}: t_s is {time}, not after {} of the waypoint before; put the lines in \
+                 order of time",
+                before.time
+            ));
         }
         waypoints.push(Waypoint {
             time,
@@ -528,11 +474,11 @@ fn read_waypoints(path: &Path) -> Result<Waypoints, WaypointFileError> {
         });
         Ok(())
     })?;
-    Ok(Waypoints::new(&waypoints)?)
+    Waypoints::new(&waypoints).map_err(|error| format!("{error}; write one waypoint a line"))
 }
 
-/// The points of a file, in m.
-fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, WaypointFileError> {
+/// The points of a file, in m, or why it is refused.
+fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, String> {
     let mut points = Vec::new();
     read_rows(path, ["x_m", "y_m"], |_, point| {
         points.push(point);
@@ -546,28 +492,33 @@ fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, WaypointFileError> {
 fn read_rows<const COLUMNS: usize>(
     path: &Path,
     columns: [&'static str; COLUMNS],
-    mut take: impl FnMut(u64, [f64; COLUMNS]) -> Result<(), WaypointFileError>,
-) -> Result<(), WaypointFileError> {
-    let text = read_text(path)?;
+    mut take: impl FnMut(u64, [f64; COLUMNS]) -> Result<(), String>,
+) -> Result<(), String> {
+    let no_csv =
+        |error: csv::Error| format!("{error}; write one number for each column, such as 1.5,-0.5");
+    let text = read_text(path).map_err(|error| error.to_string())?;
     let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let header = reader.headers()?;
+    let header = reader.headers().map_err(no_csv)?;
     let places: Vec<usize> = columns
         .iter()
         .filter_map(|name| header.iter().position(|column| column.trim() == *name))
         .collect();
     if header.len() != COLUMNS || places.len() != COLUMNS {
-        return Err(WaypointFileError::Columns {
-            columns: columns.join(","),
-        });
+        let columns = columns.join(",");
+        return Err(format!(
+            "line 1 must name the columns {columns}, and no others"
+        ));
     }
     for record in reader.records() {
-        let record = record?;
+        let record = record.map_err(no_csv)?;
         let line = record.position().map_or(0, csv::Position::line);
         let mut row = [0.0; COLUMNS];
         for ((number, column), place) in row.iter_mut().zip(columns).zip(&places) {
             let value = record.get(*place).unwrap_or_default().trim();
             let finite = value.parse().ok().filter(|number: &f64| number.is_finite());
-            *number = finite.ok_or(WaypointFileError::Number { line, column })?;
+            *number = finite.ok_or_else(|| {
+                format!("line {line}: {column} is no finite number; write one, as 0.5")
+            })?;
         }
         take(line, row)?;
     }

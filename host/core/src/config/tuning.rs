@@ -90,22 +90,16 @@ impl TuningSection {
             }
         }
         if self.gain_per_s.is_none() && self.point_distance_m.is_none() {
-            return Err(ConfigError::value(
-                "tuning.enabled",
-                true,
-                "there are no bounds: give tuning.gain_per_s or tuning.point_distance_m",
-            ));
+            let fix = "there are no bounds: give tuning.gain_per_s or tuning.point_distance_m";
+            return Err(ConfigError::value("tuning.enabled", true, fix));
         }
         for extreme in config.extremes() {
             extreme.config.validate().map_err(|error| {
                 let Extreme {
                     key, bounds, place, ..
                 } = extreme;
-                ConfigError::value(
-                    key,
-                    bounds,
-                    format!("with {place}: {error}; narrow the bounds"),
-                )
+                let fix = format!("with {place}: {error}; narrow the bounds");
+                ConfigError::value(key, bounds, fix)
             })?;
         }
         Ok(())
@@ -196,39 +190,13 @@ pub struct TuningRule {
 
 /// Why a request to tune is refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum TuningError {
-    /// Nothing can be tuned.
-    #[error(
-        "nothing can be tuned: set tuning.enabled = true, with bounds, in the configuration of \
-         the daemon"
-    )]
-    Disabled,
-    /// There is no value.
-    #[error("there is nothing to tune: give gain_per_s, point_distance_m or both")]
-    Nothing,
-    /// This value can't be tuned.
-    #[error("{name} can't be tuned: {reason}")]
-    Fixed {
-        /// The value.
-        name: &'static str,
-        /// Why not.
-        reason: String,
-    },
-    /// A value outside its bounds, or not a number.
-    #[error("{name} is {value}: it must lie between {least} and {most} (tuning.{name})")]
-    OutOfBounds {
-        /// The value's name.
-        name: &'static str,
-        /// The value.
-        value: f64,
-        /// Its lower bound.
-        least: f64,
-        /// Its upper bound.
-        most: f64,
-    },
-    /// The values are in force already.
-    #[error("nothing changes: these values are in force already")]
-    Unchanged,
+#[error("{0}")]
+pub struct TuningError(String);
+
+impl From<&str> for TuningError {
+    fn from(text: &str) -> Self {
+        Self(text.to_owned())
+    }
 }
 
 impl Config {
@@ -256,7 +224,10 @@ impl TuningRule {
     ///
     /// Why not.
     pub fn check(&self, tuning: &Tuning, in_force: Option<&Tuned>) -> Result<(), TuningError> {
-        let bounds = self.bounds.ok_or(TuningError::Disabled)?;
+        let bounds = self.bounds.ok_or(
+            "nothing can be tuned: set tuning.enabled = true, with bounds, in the configuration of \
+             the daemon",
+        )?;
         if let Some(gain) = tuning.gain {
             let reason = || match self.kind {
                 "proportional" => "tuning.gain_per_s has no bounds in the configuration".to_owned(),
@@ -277,10 +248,14 @@ impl TuningRule {
             bounded("point_distance_m", distance, bounds.point_distance, reason)?;
         }
         if *tuning == Tuning::default() {
-            return Err(TuningError::Nothing);
+            return Err(
+                "there is nothing to tune: give gain_per_s, point_distance_m or both".into(),
+            );
         }
         match in_force {
-            Some(tuned) if tuned.has(tuning) => Err(TuningError::Unchanged),
+            Some(tuned) if tuned.has(tuning) => {
+                Err("nothing changes: these values are in force already".into())
+            }
             _ => Ok(()),
         }
     }
@@ -300,19 +275,12 @@ fn bounded(
     reason: impl FnOnce() -> String,
 ) -> Result<(), TuningError> {
     let Some([least, most]) = bounds else {
-        return Err(TuningError::Fixed {
-            name,
-            reason: reason(),
-        });
+        return Err(TuningError(format!("{name} can't be tuned: {}", reason())));
     };
-    if (least..=most).contains(&value) {
-        Ok(())
-    } else {
-        Err(TuningError::OutOfBounds {
-            name,
-            value,
-            least,
-            most,
-        })
+    if within([least, most], value) {
+        return Ok(());
     }
+    Err(TuningError(format!(
+        "{name} is {value}: it must lie between {least} and {most} (tuning.{name})"
+    )))
 }

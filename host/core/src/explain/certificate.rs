@@ -9,7 +9,7 @@ use serde_json::Value;
 use singletrack_control::{ROOM_DIRECTIONS, SafetyConfig, SafetyFilter, StopBox};
 
 use crate::{
-    config::{Config, ConfigError},
+    config::{Config, ConfigError, refuse_if},
     run::proof::Fnv,
 };
 
@@ -150,20 +150,16 @@ fn difference(path: &Path, own: &Value) -> Option<String> {
 }
 
 fn proved(config: &Config) -> Result<Value, ConfigError> {
-    if !config.safety_filter.enabled {
-        let fix = "a certificate is one of the safety filter; set it to true";
-        return Err(ConfigError::value("safety_filter.enabled", false, fix));
-    }
-    let reverse = config.limits.max_reverse_speed_m_s;
-    if reverse > 0.0 {
-        let fix = "a certificate is about stops of a car that goes forward; set it to 0, or leave \
-                   safety_filter.certificate out";
-        return Err(ConfigError::value(
-            "limits.max_reverse_speed_m_s",
-            reverse,
-            fix,
-        ));
-    }
+    let is_off = !config.safety_filter.enabled;
+    let fix = "a certificate is one of the safety filter; set it to true";
+    refuse_if(is_off, "safety_filter.enabled", false, fix)?;
+    let (key, reverse) = (
+        "limits.max_reverse_speed_m_s",
+        config.limits.max_reverse_speed_m_s,
+    );
+    let fix = "a certificate is about stops of a car that goes forward; set it to 0, or leave \
+               safety_filter.certificate out";
+    refuse_if(reverse > 0.0, key, reverse, fix)?;
     let filter = config.safety_filter.config(config)?;
     let settings = settings(config);
     let own = config.residuals();

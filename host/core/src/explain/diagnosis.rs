@@ -3,10 +3,7 @@
 //! Counters show what arrives. A [`Diagnosis`] names the likely cause in one word, which is the
 //! same in status, log and documentation, and in a sentence with addresses and names.
 
-use core::{
-    fmt,
-    net::{IpAddr, Ipv4Addr},
-};
+use core::{fmt, net::IpAddr};
 
 use serde::Serialize;
 use singletrack_mocap::{
@@ -14,12 +11,11 @@ use singletrack_mocap::{
     codec::DecodeError,
     planar::{NEAR_M, PlanarConfig, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
 };
-use singletrack_pilot::SupervisorConfig;
 
 /// What is wrong with the cameras, or that nothing is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Diagnosis {
-    /// The cause, one of [`DIAGNOSES`].
+    /// The cause.
     #[serde(rename = "diagnosis")]
     pub word: &'static str,
     /// The same as a sentence, with addresses, names and what to do.
@@ -129,28 +125,6 @@ impl Cause {
     }
 }
 
-/// Every word that a diagnosis can have, in the order of the checks, for the documentation.
-pub const DIAGNOSES: [&str; 18] = [
-    Cause::Starting.word(),
-    Cause::Good.word(),
-    Cause::NoServer.word(),
-    Cause::OtherAddress(IpAddr::V4(Ipv4Addr::UNSPECIFIED)).word(),
-    Cause::UnsupportedVersion.word(),
-    Cause::OtherTransport.word(),
-    Cause::NoFrames.word(),
-    Cause::TwoSenders.word(),
-    Cause::UnreadableNames(DecodeError::UnexpectedMessage { id: 0 }).word(),
-    Cause::NoSuchBody.word(),
-    Cause::AmbiguousBody(0).word(),
-    Cause::BodyAbsent.word(),
-    Cause::Untracked.word(),
-    Cause::UpAxis.word(),
-    Cause::Rejected(RejectReason::Jump).word(),
-    Cause::StampsOff.word(),
-    Cause::LatePoses.word(),
-    Cause::LowRate.word(),
-];
-
 /// Reports over which the counters are compared: a second.
 const WINDOW: usize = 5;
 
@@ -193,14 +167,6 @@ pub(crate) struct CameraWatch {
     /// The cause reported last, and when.
     reported: Option<(Cause, u64)>,
     wrong_transport: bool,
-    /// The neighbour reported last.
-    neighbour: Option<i32>,
-}
-
-impl Default for CameraWatch {
-    fn default() -> Self {
-        Self::new(SupervisorConfig::paper().fresh)
-    }
 }
 
 impl CameraWatch {
@@ -213,7 +179,6 @@ impl CameraWatch {
             found: None,
             reported: None,
             wrong_transport: false,
-            neighbour: None,
         }
     }
 
@@ -290,21 +255,6 @@ impl CameraWatch {
         })
     }
 
-    /// The other rigid body near the car, its id and in words, when it is another one than was
-    /// reported, or none any more.
-    pub(crate) fn look_around(
-        &self,
-        session: &PlanarSession,
-    ) -> Option<(Option<i32>, Option<String>)> {
-        let id = session.neighbour().map(|neighbour| neighbour.id);
-        (id != self.neighbour).then(|| (id, neighbour(session)))
-    }
-
-    /// The neighbour with this id has been reported.
-    pub(crate) const fn reported_neighbour(&mut self, id: Option<i32>) {
-        self.neighbour = id;
-    }
-
     fn cause(
         &self,
         now_ns: u64,
@@ -370,9 +320,7 @@ impl CameraWatch {
             _ => Cause::Starting,
         }
     }
-}
 
-impl CameraWatch {
     /// What is wrong with poses that arrive.
     fn quality(&self) -> Cause {
         let age_ns = self.measured.age_ns.unwrap_or_default();
@@ -402,7 +350,8 @@ impl Measured {
     }
 }
 
-fn neighbour(session: &PlanarSession) -> Option<String> {
+/// The other rigid body near the car, in words.
+pub(crate) fn neighbour(session: &PlanarSession) -> Option<String> {
     let id = session.neighbour()?.id;
     let car = &session.config().rigid_body;
     let name = session.names().name(id).unwrap_or("without a name");

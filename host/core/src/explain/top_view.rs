@@ -1,16 +1,9 @@
 //! What a top view of the car needs once, as JSON: where the car may be, where it should be, how large
 //! it is, and what the reasons mean. The page and the browser's laboratory draw it.
 
-use core::f64::consts::TAU;
-
 use serde_json::{Map, Value, json};
-use singletrack_control::Reference;
 
-use crate::{
-    config::{Config, ReferenceSection},
-    feasibility::judge_reference,
-    reasons::explanations,
-};
+use crate::{config::Config, feasibility::judge_reference, reasons::explanations};
 
 /// Points of the reference's path.
 const POINTS: u32 = 400;
@@ -70,20 +63,9 @@ fn reference_path(config: &Config) -> (Vec<[f64; 2]>, bool) {
     let Ok(reference) = config.reference.reference() else {
         return (Vec::new(), false);
     };
-    let (time, is_closed) = match (&config.reference, &reference) {
-        (
-            ReferenceSection::Circle {
-                angular_velocity_rad_s,
-                ..
-            }
-            | ReferenceSection::FigureOfEight {
-                angular_velocity_rad_s,
-                ..
-            },
-            _,
-        ) => (TAU / angular_velocity_rad_s.abs(), true),
-        (_, Reference::Path(path)) => (path.lap_time(), path.is_closed()),
-        _ => (reference.duration().unwrap_or_default(), false),
+    let (time, is_closed) = match reference.lap_time() {
+        Some(lap) => (lap, true),
+        None => (reference.duration().unwrap_or_default(), false),
     };
     let points = (0..=POINTS)
         .filter_map(|index| {
@@ -113,7 +95,7 @@ mod tests {
     use singletrack_pilot::Reason;
 
     use super::*;
-    use crate::config::Start;
+    use crate::config::{ReferenceSection, Start};
 
     fn example() -> Config {
         Config::from_toml(include_str!("../../../daemon/singletrackd.example.toml")).unwrap()

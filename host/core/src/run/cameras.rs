@@ -18,7 +18,7 @@ use singletrack_mocap::{
 
 use crate::{
     config::NeighboursSection,
-    diagnosis::{CameraWatch, Diagnosis},
+    diagnosis::{CameraWatch, Diagnosis, neighbour},
 };
 
 /// The longest datagram of UDP.
@@ -107,6 +107,8 @@ pub struct CameraReceiver {
     /// Other bodies of a poll.
     others: Vec<OtherBody>,
     watch: CameraWatch,
+    /// The other rigid body near the car that was reported last.
+    near: Option<i32>,
     is_stale: bool,
     last_frame: i32,
     counters_at_ns: u64,
@@ -116,13 +118,16 @@ pub struct CameraReceiver {
 
 impl CameraReceiver {
     /// A receiver at the beginning of a session. Observations go to the control loop and,
-    /// in `reports`, to the record. `stamp_offset_ns` replaces that of the session; it may
-    /// change at any time.
+    /// in `reports`, to the record; other bodies to `neighbours`. `stamp_offset_ns` replaces that
+    /// of the session; it may change at any time. The car is armed with poses that are no older
+    /// than `fresh`, in s.
     pub fn new(
         session: PlanarSession,
         stamp_offset_ns: Arc<AtomicI64>,
         observations: Producer<Observation>,
         reports: Producer<CameraReport>,
+        neighbours: Option<NeighbourFeed>,
+        fresh: f64,
     ) -> Self {
         Self {
             session,
@@ -132,29 +137,15 @@ impl CameraReceiver {
             buffer: vec![0; LONGEST],
             stream: Vec::new(),
             fresh: Vec::with_capacity(2 * DATAGRAMS),
-            neighbours: None,
+            neighbours,
             others: Vec::new(),
-            watch: CameraWatch::default(),
+            watch: CameraWatch::new(fresh),
+            near: None,
             is_stale: false,
             last_frame: 0,
             counters_at_ns: 0,
             passed: 0,
             dropped: 0,
-        }
-    }
-
-    /// Passes other bodies on too.
-    #[must_use]
-    pub fn with_neighbours(self, neighbours: Option<NeighbourFeed>) -> Self {
-        Self { neighbours, ..self }
-    }
-
-    /// For a car that is armed with poses that are no older than this, in s.
-    #[must_use]
-    pub fn with_fresh(self, fresh: f64) -> Self {
-        Self {
-            watch: CameraWatch::new(fresh),
-            ..self
         }
     }
 
@@ -184,14 +175,12 @@ impl CameraReceiver {
         let offset_ns = self.stamp_offset_ns.load(Ordering::Relaxed);
         self.session.set_stamp_offset_ns(offset_ns);
         let mut are_left = false;
-        let mut watch = core::mem::take(&mut self.watch);
         let mut fresh = core::mem::take(&mut self.fresh);
-        let mut others = core::mem::take(&mut self.others);
         let mut on_event = |event: PlanarEvent| match event {
             PlanarEvent::Observed(observation) => fresh.push(observation),
-            PlanarEvent::Other(other) => others.push(other),
+            PlanarEvent::Other(other) => self.others.push(other),
             event => {
-                watch.handle(&event);
+                self.watch.handle(&event);
                 on_event(&event);
             }
         };
@@ -231,10 +220,9 @@ impl CameraReceiver {
         // They are there before the pose that begins a tick.
         if let (Some(neighbours), Some(newest)) = (&mut self.neighbours, fresh.last()) {
             let (own, names) = (self.session.binding().id(), self.session.names());
-            neighbours.pass(newest.receive_time_ns, own, &others, names);
+            neighbours.pass(newest.receive_time_ns, own, &self.others, names);
         }
-        others.clear();
-        self.others = others;
+        self.others.clear();
         for observation in fresh.drain(..) {
             self.is_stale = false;
             self.last_frame = observation.frame_number;
@@ -251,15 +239,13 @@ impl CameraReceiver {
                 state,
             });
         }
-        self.watch = watch;
-        // A report without room is made again: the status must not keep a neighbour that has gone.
-        if let Some((id, neighbour)) = self.watch.look_around(&self.session)
-            && self
-                .reports
-                .push(CameraReport::Neighbour(neighbour))
-                .is_ok()
-        {
-            self.watch.reported_neighbour(id);
+        let near = self.session.neighbour().map(|other| other.id);
+        if near != self.near {
+            let report = CameraReport::Neighbour(neighbour(&self.session));
+            // One without room is made again: the status must not keep a neighbour that has gone.
+            if self.reports.push(report).is_ok() {
+                self.near = near;
+            }
         }
         if now_ns >= self.counters_at_ns {
             self.counters_at_ns = now_ns.saturating_add(COUNTERS_NS);

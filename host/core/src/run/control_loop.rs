@@ -3,7 +3,7 @@
 //! It never waits or allocates; a lock it only tries, see [`slot`](crate::slot).
 
 use rtrb::{Consumer, Producer, PushError};
-use singletrack_control::{Estimate, NeighbourSample, Time};
+use singletrack_control::{NeighbourSample, Time};
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{Arming, Event, Jog, Mode, PilotRequest, RealTimeState, Tuning};
@@ -89,7 +89,7 @@ enum Ending {
 /// The controller and its rings.
 #[derive(Debug)]
 pub struct ControlLoop<L> {
-    controller: Controller,
+    pub(super) controller: Controller,
     rings: Rings<L>,
     line: Option<L>,
     index: u64,
@@ -142,11 +142,6 @@ impl<L: Line> ControlLoop<L> {
     /// What the system granted the thread that runs the loop, for the pilot.
     pub fn real_time(&mut self, state: RealTimeState) {
         self.controller.push(Event::RealTime(state));
-    }
-
-    /// Replaces the estimate of the next tick: see [`Pilot::assume`](singletrack_pilot::Pilot::assume).
-    pub(super) const fn assume(&mut self, estimate: Estimate) {
-        self.controller.assume(estimate);
     }
 
     /// The controller.
@@ -455,8 +450,7 @@ impl<L: Line> ControlLoop<L> {
         } else if now_ns > change.until_ns {
             Err(Refusal::Late)
         } else {
-            let changed = self.controller.reconfigure(Time(now_ns), &change);
-            changed.map_err(Refusal::from)
+            self.controller.reconfigure(Time(now_ns), &change)
         };
         change.outcome = Some(outcome);
         if let Err(PushError::Full(change)) = self.rings.reconfigured.push(change) {

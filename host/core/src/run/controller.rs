@@ -3,7 +3,7 @@
 //! The real-time thread and the simulations in virtual time run the same code. They differ
 //! only in the source of bytes and time.
 
-use singletrack_control::{Estimate, NeighbourSample, PoseSample, Position, SteeringMap, Time};
+use singletrack_control::{NeighbourSample, PoseSample, Position, SteeringMap, Time};
 use singletrack_link::{DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
@@ -16,7 +16,7 @@ use crate::{
     line::Sent,
     run::proof::{Proof, Proofs},
     run::report::pilot_event,
-    run::requests::{Reconfiguration, ReconfigureError},
+    run::requests::{Reconfiguration, Refusal},
 };
 
 /// The largest number of events of a tick: a stall of 300 ms at 100 Hz of poses and
@@ -42,7 +42,7 @@ pub type Events = heapless::Vec<Event, MAX_EVENTS>;
 pub struct Controller {
     session: Session,
     steering: SteeringMap,
-    pilot: Pilot,
+    pub(super) pilot: Pilot,
     /// The hash of the configuration in force, of what the first metre proves.
     configuration: u64,
     /// The number of the car; `None` before the board has given it.
@@ -53,8 +53,7 @@ pub struct Controller {
     /// The attitude of IMU and body since the last event that has it.
     attitude: AttitudeSample,
     neighbours: NewestSamples,
-    events: Events,
-    dropped: u32,
+    queue: Queue,
     ticks: u32,
 }
 
@@ -99,8 +98,7 @@ impl Controller {
             contradicted: false,
             attitude: AttitudeSample::default(),
             neighbours: NewestSamples::default(),
-            events: Events::new(),
-            dropped: 0,
+            queue: Queue::default(),
             ticks: 0,
         }
     }
@@ -113,11 +111,6 @@ impl Controller {
     /// The pilot.
     pub const fn pilot(&self) -> &Pilot {
         &self.pilot
-    }
-
-    /// Replaces the estimate of the next tick: see [`Pilot::assume`].
-    pub(super) const fn assume(&mut self, estimate: Estimate) {
-        self.pilot.assume(estimate);
     }
 
     /// The configuration in force on this car; `None` before the board has given its number.
@@ -154,41 +147,31 @@ impl Controller {
 
     /// The port was closed or has hung up: the link is down.
     pub fn port_closed(&mut self, now: Time, on_link: &mut impl FnMut(&LinkEvent)) {
-        let mut queue = Queue {
-            events: &mut self.events,
-            dropped: &mut self.dropped,
-        };
         self.session.handle_closed(now.0, &mut |event| {
             on_link(&event);
-            queue.link(&event);
+            self.queue.link(&event);
         });
-        queue.push(Event::Link(LinkState::Down));
+        self.push(Event::Link(LinkState::Down));
     }
 
     /// Bytes from the board were read at `time`.
     pub fn received(&mut self, time: Time, bytes: &[u8], on_link: &mut impl FnMut(&LinkEvent)) {
-        let mut queue = Queue {
-            events: &mut self.events,
-            dropped: &mut self.dropped,
-        };
-        let (car_id, attitude) = (&mut self.car_id, &mut self.attitude);
-        let (rate, pilot) = (rate(&self.session), &self.pilot);
-        let before = *car_id;
+        let (before, rate) = (self.car_id, rate(&self.session));
         self.session.handle_bytes(time.0, bytes, &mut |event| {
             on_link(&event);
             match &event {
                 // The next board may be in another car.
-                LinkEvent::Connected { .. } => *car_id = None,
-                LinkEvent::Identified { car_id: number } => *car_id = Some(*number),
+                LinkEvent::Connected { .. } => self.car_id = None,
+                LinkEvent::Identified { car_id } => self.car_id = Some(*car_id),
                 LinkEvent::Telemetry(record) if record.has_fresh_imu_sample() => {
                     // One wrong sample does not hide the others; wrong ones only are no tilt.
-                    attitude.imu = imu_tilt(record.telemetry.attitude_q14)
-                        .or(attitude.imu)
-                        .or(Some(NO_TILT));
+                    let tilt = imu_tilt(record.telemetry.attitude_q14);
+                    self.attitude.imu = tilt.or(self.attitude.imu).or(Some(NO_TILT));
                 }
                 _ => {}
             }
-            queue.link_with(&event, |speed| pilot.speed_of_board(speed, rate));
+            let of_board = |speed| self.pilot.speed_of_board(speed, rate);
+            self.queue.link_with(&event, of_board);
         });
         if self.car_id != before {
             self.tell_proved();
@@ -218,19 +201,13 @@ impl Controller {
     ///
     /// # Errors
     ///
-    /// [`ReconfigureError`] while a drive is underway, and for an invalid configuration of
-    /// the board. Nothing changes then.
-    pub fn reconfigure(
-        &mut self,
-        now: Time,
-        change: &Reconfiguration,
-    ) -> Result<(), ReconfigureError> {
+    /// A [`Refusal`] while a drive is underway, and for an invalid configuration of the board.
+    /// Nothing changes then.
+    pub fn reconfigure(&mut self, now: Time, change: &Reconfiguration) -> Result<(), Refusal> {
         let mode = self.pilot.mode();
         // The new configuration would apply to an arm request that came before it.
-        let asked = self
-            .events
-            .iter()
-            .any(|event| matches!(event, Event::Request(PilotRequest::Arm(_))));
+        let arms = |event: &Event| matches!(event, Event::Request(PilotRequest::Arm(_)));
+        let asked = self.queue.events.iter().any(arms);
         if mode.is_underway() || asked {
             return Err(Underway(mode).into());
         }
@@ -261,24 +238,20 @@ impl Controller {
         write: &mut impl FnMut(&[u8]) -> Sent,
         on_link: &mut impl FnMut(&LinkEvent),
     ) -> Tick {
-        let mut queue = Queue {
-            events: &mut self.events,
-            dropped: &mut self.dropped,
-        };
         self.session.handle_timeout(now.0, &mut |event| {
             on_link(&event);
-            queue.link(&event);
+            self.queue.link(&event);
         });
         if self.ticks.is_multiple_of(LINE_HEALTH_TICKS) {
-            queue.push(Event::Line(line_health(&self.session, now)));
+            self.push(Event::Line(line_health(&self.session, now)));
             let attitude = core::mem::take(&mut self.attitude);
             if attitude != AttitudeSample::default() {
-                queue.push(Event::Attitude(attitude));
+                self.push(Event::Attitude(attitude));
             }
         }
         for _ in 0..NEIGHBOURS {
             // They give way to all other events; one that waits only seems farther gone.
-            if self.events.len() >= MAX_EVENTS - RESERVED {
+            if self.queue.events.len() >= MAX_EVENTS - RESERVED {
                 break;
             }
             let Some(sample) = self.neighbours.take() else {
@@ -288,8 +261,7 @@ impl Controller {
         }
         self.ticks = self.ticks.wrapping_add(1);
         let known_late = self.revoke();
-        let events = core::mem::take(&mut self.events);
-        let dropped_events = core::mem::take(&mut self.dropped);
+        let Queue { events, dropped } = core::mem::take(&mut self.queue);
         let output = self.pilot.step(now, &events);
         let proved = self.proof().filter(|_| output.proved);
         if let Some(proof) = proved {
@@ -343,7 +315,7 @@ impl Controller {
         }
         Tick {
             events,
-            dropped_events,
+            dropped_events: dropped,
             output,
             proved,
             disproved,
@@ -354,21 +326,18 @@ impl Controller {
     /// Adds an event for the next tick. Of set-points and of the operator's pulses only the newest of
     /// a tick counts, and the tunings of a tick become one.
     pub fn push(&mut self, event: Event) {
-        Queue {
-            events: &mut self.events,
-            dropped: &mut self.dropped,
-        }
-        .push(event);
+        self.queue.push(event);
     }
 }
 
-/// The events of the next tick, while the session is borrowed.
-struct Queue<'a> {
-    events: &'a mut Events,
-    dropped: &'a mut u32,
+/// The events of the next tick, and the number of those that found no room.
+#[derive(Debug, Default)]
+struct Queue {
+    events: Events,
+    dropped: u32,
 }
 
-impl Queue<'_> {
+impl Queue {
     fn push(&mut self, event: Event) {
         let room = match event {
             Event::Pose(_)
@@ -412,7 +381,7 @@ impl Queue<'_> {
             }
         };
         if self.events.len() >= room || self.events.push(event).is_err() {
-            *self.dropped = self.dropped.saturating_add(1);
+            self.dropped = self.dropped.saturating_add(1);
         }
     }
 
@@ -453,7 +422,7 @@ impl Queue<'_> {
         });
         if let Some(oldest) = oldest {
             self.events.remove(oldest);
-            *self.dropped = self.dropped.saturating_add(1);
+            self.dropped = self.dropped.saturating_add(1);
         }
     }
 
@@ -578,16 +547,20 @@ mod tests {
         for _ in 0..MAX_EVENTS {
             controller.push(missing);
         }
-        assert_eq!(controller.events.len(), MAX_EVENTS - RESERVED);
-        assert_eq!(controller.dropped, RESERVED as u32);
+        assert_eq!(controller.queue.events.len(), MAX_EVENTS - RESERVED);
+        assert_eq!(controller.queue.dropped, RESERVED as u32);
         let stop = Event::Request(PilotRequest::EmergencyStop);
         for _ in 0..=RESERVED {
             controller.push(stop);
         }
         // The last one took the place of a sample.
-        assert!(controller.events.is_full());
-        assert_eq!(controller.dropped, RESERVED as u32 + 1);
-        let stops = controller.events.iter().filter(|event| **event == stop);
+        assert!(controller.queue.events.is_full());
+        assert_eq!(controller.queue.dropped, RESERVED as u32 + 1);
+        let stops = controller
+            .queue
+            .events
+            .iter()
+            .filter(|event| **event == stop);
         assert_eq!(stops.count(), RESERVED + 1);
     }
 
@@ -599,7 +572,10 @@ mod tests {
         for event in [down, missing, down, ready, down] {
             controller.push(event);
         }
-        assert_eq!(controller.events.as_slice(), [missing, down, ready, down]);
+        assert_eq!(
+            controller.queue.events.as_slice(),
+            [missing, down, ready, down]
+        );
     }
 
     #[test]
@@ -647,7 +623,10 @@ mod tests {
         let mut controller = controller(Proofs::default());
         controller.port_opened(Time(1_000));
         controller.port_closed(Time(2_000), &mut |_| {});
-        assert_eq!(controller.events.as_slice(), [Event::Link(LinkState::Down)]);
+        assert_eq!(
+            controller.queue.events.as_slice(),
+            [Event::Link(LinkState::Down)]
+        );
         let state = controller.session().state();
         assert_eq!(state, singletrack_link::State::Disconnected);
     }
@@ -665,13 +644,13 @@ mod tests {
         controller.car_id = Some(1);
         assert_eq!(controller.revoke(), Some(proof(1)));
         assert!(!controller.proofs.contains(proof(1)));
-        assert_eq!(controller.events.as_slice(), [Event::Proved(false)]);
+        assert_eq!(controller.queue.events.as_slice(), [Event::Proved(false)]);
         assert!(controller.proofs.contains(proof(2)));
         assert_eq!(controller.revoke(), None);
         // It is void already, and perhaps not in the file.
         controller.contradicted = true;
         assert_eq!(controller.revoke(), Some(proof(1)));
-        assert_eq!(controller.events.len(), 1);
+        assert_eq!(controller.queue.events.len(), 1);
     }
 
     /// A tick of a board that greets and accepts its configuration, and whose number may be lost.
@@ -749,10 +728,10 @@ mod tests {
             Event::Tuning(tuning(gain(2.0), Some(0.3))),
             Event::Request(PilotRequest::Hold),
         ];
-        assert_eq!(controller.events.as_slice(), events);
+        assert_eq!(controller.queue.events.as_slice(), events);
         // It belongs to the configuration before or after.
         controller.push(Event::Reconfigured(2));
         controller.push(Event::Tuning(tuning(None, Some(0.4))));
-        assert_eq!(controller.events.len(), 4);
+        assert_eq!(controller.queue.events.len(), 4);
     }
 }

@@ -164,9 +164,9 @@ impl<L: Line> Host<L> {
                 Arc::clone(&stamp_offset_ns),
                 observations_in,
                 camera_reports,
-            )
-            .with_neighbours(feed)
-            .with_fresh(f64::from(config.supervisor.fresh_ms) * 1e-3),
+                feed,
+                f64::from(config.supervisor.fresh_ms) * 1e-3,
+            ),
             requests: Requests::new(requests_in),
             setpoints: setpoints_in,
             jogs: jogs_in,
@@ -228,7 +228,7 @@ impl<L: Line> VirtualHost<L> {
 
     /// Replaces the estimate of the next tick: see [`Pilot::assume`](singletrack_pilot::Pilot::assume).
     pub const fn assume(&mut self, estimate: Estimate) {
-        self.host.control.assume(estimate);
+        self.host.control.controller.pilot.assume(estimate);
     }
 
     /// The controller.
@@ -319,15 +319,6 @@ impl<L: Line> VirtualHost<L> {
     /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.requests.push(ControlRequest::Pilot(request))
-    }
-
-    /// Arms the car, held, and lets its reference begin at `begin_ns`.
-    ///
-    /// # Errors
-    ///
-    /// As [`request`](Self::request).
-    pub fn arm_at(&self, begin_ns: u64) -> Result<(), Stalled> {
-        self.host.requests.push(ControlRequest::ArmAt(begin_ns))
     }
 
     /// Tells the pilot what is learned, with the next tick.

@@ -216,16 +216,10 @@ pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Co
         let gain_us_per_rad = f64::from(servo.gain_us_per_rad) / (1.0 + gain.unwrap_or(0.0));
         let centre_us = f64::from(servo.centre_us) - trim.unwrap_or(0.0) * gain_us_per_rad;
         let [gain_us_per_rad, centre_us] = [gain_us_per_rad, centre_us].map(f64::round);
-        correct(
-            "board.servo.gain_us_per_rad",
-            servo.gain_us_per_rad.into(),
-            (gain_us_per_rad as i64).into(),
-        );
-        correct(
-            "board.servo.centre_us",
-            servo.centre_us.into(),
-            (centre_us as i64).into(),
-        );
+        let (configured, value) = (servo.gain_us_per_rad.into(), gain_us_per_rad as i64);
+        correct("board.servo.gain_us_per_rad", configured, value.into());
+        let (configured, value) = (servo.centre_us.into(), centre_us as i64);
+        correct("board.servo.centre_us", configured, value.into());
         let [most, least] = [servo.max_us, servo.min_us].map(f64::from);
         let reach = (most - centre_us).min(centre_us - least) / gain_us_per_rad.abs();
         let most = config.limits.max_steering_rad;
@@ -237,19 +231,14 @@ pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Co
     let cameras = &config.motion_capture;
     if let Some(late) = off(CalibrationParameter::StampOffset) {
         let configured = cameras.timing.stamp_offset_ms;
-        correct(
-            "motion_capture.timing.stamp_offset_ms",
-            configured.into(),
-            rounded(configured + 1e3 * late, 1e2).into(),
-        );
+        let value = rounded(configured + 1e3 * late, 1e2);
+        let key = "motion_capture.timing.stamp_offset_ms";
+        correct(key, configured.into(), value.into());
     }
     if let Some(yaw) = off(CalibrationParameter::BodyYaw) {
         let configured = cameras.marker_yaw_rad;
-        correct(
-            "motion_capture.marker_yaw_rad",
-            configured.into(),
-            rounded(configured + yaw, 1e5).into(),
-        );
+        let value = rounded(configured + yaw, 1e5).into();
+        correct("motion_capture.marker_yaw_rad", configured.into(), value);
     }
     let pivot = [
         CalibrationParameter::PivotForward,
@@ -258,22 +247,15 @@ pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Co
     .map(off);
     if pivot.iter().any(Option::is_some) {
         let configured = cameras.marker_offset_m;
-        let [forward, left] =
-            [0, 1].map(|axis| rounded(configured[axis] + pivot[axis].unwrap_or(0.0), 1e4));
-        correct(
-            "motion_capture.marker_offset_m",
-            vec![configured[0], configured[1]].into(),
-            vec![forward, left].into(),
-        );
+        let value = [0, 1].map(|axis| rounded(configured[axis] + pivot[axis].unwrap_or(0.0), 1e4));
+        let [configured, value] = [configured, value].map(|pair| pair.to_vec().into());
+        correct("motion_capture.marker_offset_m", configured, value);
     }
     if let Some(more) = off(CalibrationParameter::PulseDistance) {
         let configured = config.board.speed.pulse_distance_um;
-        let distance_um = f64::from(configured) * (1.0 + more);
-        correct(
-            "board.speed.pulse_distance_um",
-            configured.into(),
-            (distance_um.round() as i64).into(),
-        );
+        let value = (f64::from(configured) * (1.0 + more)).round() as i64;
+        let key = "board.speed.pulse_distance_um";
+        correct(key, configured.into(), value.into());
     }
     corrections
 }
@@ -306,11 +288,9 @@ pub fn corrected(config: &Config, corrections: &[Correction]) -> Result<Config, 
                 let old = at.insert(part.to_owned(), value);
                 if old.as_ref() != Some(&configured) {
                     let old = old.map_or_else(|| "absent".to_owned(), |old| old.to_string());
-                    return Err(ConfigError::value(
-                        "the configuration",
-                        "another one than that of the drives",
-                        format!("{key} is {old}, and was {configured}; drive with it first"),
-                    ));
+                    let value = "another one than that of the drives";
+                    let fix = format!("{key} is {old}, and was {configured}; drive with it first");
+                    return Err(ConfigError::value("the configuration", value, fix));
                 }
                 break;
             }

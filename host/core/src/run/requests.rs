@@ -45,23 +45,15 @@ pub struct Reconfiguration {
     pub outcome: Option<Result<(), Refusal>>,
 }
 
-/// Why a configuration was not applied.
+/// Why the control loop refused a configuration.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum ReconfigureError {
+pub enum Refusal {
     /// A drive is underway.
     #[error(transparent)]
     Underway(#[from] Underway),
     /// The session does not accept the board's configuration.
     #[error("board: {0}")]
     Board(#[from] ConfigureError),
-}
-
-/// Why the control loop refused a configuration.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Refusal {
-    /// The pilot or the session with the board refuses it.
-    #[error(transparent)]
-    Pilot(#[from] ReconfigureError),
     /// The loop is about to end.
     #[error("singletrackd is about to end")]
     Ending,

@@ -28,28 +28,21 @@ impl SetpointCommand {
         };
         let command = command(keys, stamp)?;
         command.check(now, f64::INFINITY).map_err(|error| {
-            let why = code(error);
-            match (error, &command) {
-                (SetpointError::Future, _) if stamp.time > now => Refused::new(
-                    why,
-                    format_args!(
-                        "time_ns is {}: CLOCK_MONOTONIC of this computer says {}",
-                        stamp.time.0, now.0
-                    ),
+            let now = now.0;
+            let text = match (error, &command) {
+                (SetpointError::Future, _) if stamp.time.0 > now => format!(
+                    "time_ns is {}: CLOCK_MONOTONIC of this computer says {now}",
+                    stamp.time.0
                 ),
-                (SetpointError::Future, _) => Refused::new(
-                    why,
-                    format_args!(
-                        "the trajectory begins more than a second after now, which is {}",
-                        now.0
-                    ),
-                ),
-                (SetpointError::Old, SetpointCommand::Trajectory(_)) => Refused::new(
-                    why,
-                    format_args!("the trajectory ends before now, which is {}", now.0),
-                ),
-                _ => Refused::new(why, error),
-            }
+                (SetpointError::Future, _) => {
+                    format!("the trajectory begins more than a second after now, which is {now}")
+                }
+                (SetpointError::Old, SetpointCommand::Trajectory(_)) => {
+                    format!("the trajectory ends before now, which is {now}")
+                }
+                _ => error.to_string(),
+            };
+            Refused::new(code(error), text)
         })?;
         Ok(command)
     }
@@ -86,7 +79,7 @@ pub const fn code(error: SetpointError) -> Code {
 }
 
 fn command(keys: Setpoint, stamp: SetpointStamp) -> Result<SetpointCommand, Refused> {
-    let invalid = |text: &str| Refused::new(Code::Invalid, text);
+    let needs = |what: &str| Refused::new(Code::Invalid, format_args!("setpoint needs {what}"));
     let acts = keys.steering_rad.is_some()
         || keys.steering_rate_rad_s.is_some()
         || keys.speed_m_s.is_some()
@@ -96,10 +89,8 @@ fn command(keys: Setpoint, stamp: SetpointStamp) -> Result<SetpointCommand, Refu
     let demand = match (points, acts, keys.trajectory) {
         (false, false, Some(points)) => {
             if points.len() > MAX_TRAJECTORY_POINTS {
-                return Err(Refused::new(
-                    Code::OutOfRange,
-                    format_args!("a trajectory has at most {MAX_TRAJECTORY_POINTS} points"),
-                ));
+                let text = format!("a trajectory has at most {MAX_TRAJECTORY_POINTS} points");
+                return Err(Refused::new(Code::OutOfRange, text));
             }
             let points = points.iter().map(point).collect();
             let trajectory = Trajectory { stamp, points };
@@ -110,41 +101,37 @@ fn command(keys: Setpoint, stamp: SetpointStamp) -> Result<SetpointCommand, Refu
             velocity: keys
                 .velocity_m_s
                 .map(|[x, y]| Velocity::new(x, y))
-                .ok_or_else(|| invalid("position_m needs velocity_m_s, such as [0.0,0.0]"))?,
+                .ok_or_else(|| {
+                    let text = "position_m needs velocity_m_s, such as [0.0,0.0]";
+                    Refused::new(Code::Invalid, text)
+                })?,
         }),
         (false, true, None) => Demand::Actuation {
             steering: match (keys.steering_rad, keys.steering_rate_rad_s) {
                 (Some(angle), None) => SteeringDemand::Angle(angle),
                 (Some(angle), Some(rate)) => SteeringDemand::AngleWithin { angle, rate },
                 (None, Some(rate)) => SteeringDemand::Rate(rate),
-                (None, None) => {
-                    return Err(invalid(
-                        "setpoint needs steering_rad or steering_rate_rad_s",
-                    ));
-                }
+                (None, None) => return Err(needs("steering_rad or steering_rate_rad_s")),
             },
             speed: match (keys.speed_m_s, keys.rear_speed_m_s, keys.acceleration_m_s2) {
                 (Some(speed), None, None) => SpeedDemand::Speed(speed),
                 (None, Some(speed), None) => SpeedDemand::RearSpeed(speed),
                 (None, None, Some(acceleration)) => SpeedDemand::Acceleration(acceleration),
                 _ => {
-                    return Err(invalid(
-                        "setpoint needs one of speed_m_s, rear_speed_m_s and acceleration_m_s2",
+                    return Err(needs(
+                        "one of speed_m_s, rear_speed_m_s and acceleration_m_s2",
                     ));
                 }
             },
         },
         _ => {
-            return Err(invalid(
-                "setpoint needs velocity_m_s, such as [0.4,0.0]; or steering_rad and \
-                     speed_m_s; or trajectory",
-            ));
+            let one =
+                "velocity_m_s, such as [0.4,0.0]; or steering_rad and speed_m_s; or trajectory";
+            return Err(needs(one));
         }
     };
-    Ok(SetpointCommand::Setpoint(control::Setpoint {
-        stamp,
-        demand,
-    }))
+    let setpoint = control::Setpoint { stamp, demand };
+    Ok(SetpointCommand::Setpoint(setpoint))
 }
 
 const fn point(point: &singletrack_api::TrajectoryPoint) -> TrajectoryPoint {

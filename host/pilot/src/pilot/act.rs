@@ -7,9 +7,9 @@ use singletrack_control::{
 };
 
 use super::{
-    Compensator, DriveCommand, Filtering, Pilot,
+    Compensator, DriveCommand, Output, Pilot,
     compensation::{Course, PathAhead},
-    safety::{Action, LawStep},
+    safety::LawStep,
     sense::Sensed,
 };
 use crate::{
@@ -22,36 +22,24 @@ use crate::{
 const LEARNS_ABOVE: f64 = 0.25;
 
 impl Pilot {
-    /// The command of the mode, and why there is none if the law is singular.
-    pub(super) fn act(&mut self, sensed: &Sensed) -> (Action, Option<Reason>) {
-        let mut action = Action {
-            drive_time: None,
-            reference: None,
-            point: None,
-            point_velocity: None,
+    /// The command of the mode with what led there, and why there is none if the law is singular.
+    pub(super) fn act(&mut self, sensed: &Sensed) -> (Output, Option<Reason>) {
+        let mut output = Output {
             actuation: self.law.actuation(),
-            turning_round: false,
-            looked_ahead: None,
-            path: None,
-            delay: 0.0,
-            slowed_by: None,
-            command: None,
-            proved: false,
-            coasted: None,
-            filtering: Filtering::None,
             filtered_ticks: self.safety.ticks,
+            ..Output::neutral(self.supervisor.mode())
         };
         let Some(estimate) = &sensed.estimate else {
-            return (action, None);
+            return (output, None);
         };
         self.learn(sensed, estimate);
         let learned = self.learning.map(|learning| learning.in_force);
         let estimate = &learned.map_or(*estimate, |it| it.corrected(estimate));
         let law = self.law.law();
-        action.point = Some(law.point(estimate.position, estimate.yaw, self.wheels()));
+        output.point = Some(law.point(estimate.position, estimate.yaw, self.wheels()));
         // A sideslip that the car can't have is not acted on.
         let believed = Estimate {
-            sideslip: if self.watches.drive.slide.is_beyond() {
+            sideslip: if self.watches.drive.slide.is_beyond {
                 0.0
             } else {
                 estimate.sideslip
@@ -60,12 +48,12 @@ impl Pilot {
         };
         let singular = match self.supervisor.mode() {
             Mode::Driving if self.drive_start.is_none() => {
-                action.command = Some(command(&believed, &action.actuation, false));
+                output.command = Some(command(&believed, &output.actuation, false));
                 None
             }
-            Mode::Driving => self.drive(sensed.now, &believed, &mut action).err(),
+            Mode::Driving => self.drive(sensed.now, &believed, &mut output).err(),
             Mode::Slowing | Mode::Stopping => {
-                self.slow_down(sensed, &believed, &mut action);
+                self.slow_down(sensed, &believed, &mut output);
                 None
             }
             Mode::Disconnected
@@ -75,7 +63,7 @@ impl Pilot {
             | Mode::Fault
             | Mode::Jogging => None,
         };
-        if let (Some(learned), Some(command)) = (learned, &mut action.command) {
+        if let (Some(learned), Some(command)) = (learned, &mut output.command) {
             // Within the limits of the configured steering; what the law itself has limited is not
             // limited by its rounding again.
             let limits = &self.config.limits;
@@ -86,7 +74,7 @@ impl Pilot {
                 .clamp(last - change, last + change)
                 .clamp(-most, most);
         }
-        (action, singular)
+        (output, singular)
     }
 
     /// What is learned moves on, in a drive in which nothing is doubted: the first metre proves
@@ -130,7 +118,7 @@ impl Pilot {
     }
 
     /// A tick in [`Mode::Slowing`] or [`Mode::Stopping`].
-    fn slow_down(&mut self, sensed: &Sensed, estimate: &Estimate, action: &mut Action) {
+    fn slow_down(&mut self, sensed: &Sensed, estimate: &Estimate, output: &mut Output) {
         let (now, period) = (sensed.now, self.config.period);
         // Ticks that are late or left out must not make the stop longer.
         let elapsed = sensed
@@ -143,38 +131,39 @@ impl Pilot {
         // P leaves its reference here; a drive that goes on begins to follow it again.
         self.tracking.reset();
         self.applied = self.given_by(estimate, &actuation);
-        action.drive_time = self.drive_start.map(|start| now.seconds_since(start));
-        action.actuation = actuation;
-        action.command = Some(command(estimate, &actuation, true));
+        output.drive_time = self.drive_start.map(|start| now.seconds_since(start));
+        output.actuation = actuation;
+        output.command = Some(command(estimate, &actuation, true));
     }
 
     /// A tick in [`Mode::Driving`]: reference, position loop and law, or the actuation that a
     /// controller outside demands. Fails where the law is singular.
-    fn drive(&mut self, now: Time, estimate: &Estimate, action: &mut Action) -> Result<(), Reason> {
+    fn drive(&mut self, now: Time, estimate: &Estimate, output: &mut Output) -> Result<(), Reason> {
         let elapsed = self
             .drive_start
             .map_or(0.0, |start| now.seconds_since(start));
         let time = elapsed - self.waited;
+        self.delay = 0.0;
         let before = self.law.actuation().speed;
         let wanted = &self.config.reference;
-        action.path = Some(match (&mut self.governor, action.point) {
+        output.path = Some(match (&mut self.governor, output.point) {
             (Some(governor), Some(point)) => governor.advance(time, wanted, &point),
             _ => time,
         });
         let governor = self.governor.as_ref();
-        action.slowed_by = governor.and_then(Governor::slowed_by);
+        output.slowed_by = governor.and_then(Governor::slowed_by);
         let demand = match governor {
             Some(governor) => Demand::Point(governor.at(wanted, 0.0)),
             None => wanted.demand(now, time),
         };
         match demand {
-            _ if self.watches.drive.slide.is_beyond() => {
+            _ if self.watches.drive.slide.is_beyond => {
                 self.tracking.reset();
                 Ok(self.law.actuation())
             }
             Demand::Point(reference) => {
-                action.reference = Some(reference);
-                self.follow(now, time, &reference, estimate, action)
+                output.reference = Some(reference);
+                self.follow(now, time, &reference, estimate, output)
             }
             Demand::Actuation { steering, speed } => {
                 self.tracking.reset();
@@ -186,21 +175,21 @@ impl Pilot {
         if estimate.pose_age() > self.config.supervisor.fresh {
             self.law.cap_speed(fabs(before));
         }
-        let (coast, wave) = self.prove(now, estimate, action);
-        self.wait_for_proof(estimate, action, coast);
-        self.waited += self.config.period * action.delay;
+        let (coast, wave) = self.prove(now, estimate, output);
+        self.wait_for_proof(estimate, output, coast);
+        self.waited += self.config.period * self.delay;
         let actuation = self.law.actuation();
-        self.applied = match action.reference {
+        self.applied = match output.reference {
             Some(_) => self.law.point_velocity(),
             None => self.given_by(estimate, &actuation),
         };
         if let Some(compensator) = &mut self.compensator {
             compensator.sent(actuation.speed);
         }
-        action.drive_time = Some(elapsed);
-        action.actuation = actuation;
-        action.turning_round = self.law.is_turning_round();
-        (action.filtering, action.filtered_ticks) = (self.safety.filtering, self.safety.ticks);
+        output.drive_time = Some(elapsed);
+        output.actuation = actuation;
+        output.turning_round = self.law.is_turning_round();
+        (output.filtering, output.filtered_ticks) = (self.safety.filtering, self.safety.ticks);
         let mut command = command(estimate, &actuation, false);
         if coast {
             command.rear_speed = 0.0;
@@ -209,7 +198,7 @@ impl Pilot {
             let most = self.config.limits.max_steering;
             command.steering = (command.steering + wave).clamp(-most, most);
         }
-        action.command = Some(command);
+        output.command = Some(command);
         Ok(())
     }
 
@@ -240,7 +229,7 @@ impl Pilot {
         time: f64,
         reference: &ReferencePoint,
         estimate: &Estimate,
-        action: &mut Action,
+        output: &mut Output,
     ) -> Result<Actuation, Singularity> {
         let config = &self.config;
         let path = PathAhead {
@@ -266,7 +255,7 @@ impl Pilot {
                 };
                 let (state, velocity, lead) =
                     compensator.look_ahead(estimate, &course, [tracking, imagined], applied)?;
-                action.looked_ahead = Some(state.ahead);
+                output.looked_ahead = Some(state.ahead);
                 let point = law.point(state.position, state.motion.yaw, state.wheels);
                 (state.motion, state.wheels, point, velocity, Some(lead))
             }
@@ -290,12 +279,12 @@ impl Pilot {
                 lead,
             },
         };
-        self.step_law(estimate, &step, &velocity, action)
+        self.step_law(estimate, &step, &velocity, output)
     }
 
     /// Lets the reference be no faster than the car may be until everything has been proved.
-    fn wait_for_proof(&self, estimate: &Estimate, action: &mut Action, coast: bool) {
-        let path = action.reference.filter(|it| it.position.is_some());
+    fn wait_for_proof(&mut self, estimate: &Estimate, output: &Output, coast: bool) {
+        let path = output.reference.filter(|it| it.position.is_some());
         if let (Some(reference), true) = (path, self.watches.proving.is_some()) {
             let speed = if coast {
                 fabs(estimate.speed)
@@ -304,18 +293,18 @@ impl Pilot {
             };
             let share = speed / reference.velocity.norm();
             // NaN, where both stand, delays nothing.
-            action.delay = action.delay.max(1.0 - share.min(1.0));
+            self.delay = self.delay.max(1.0 - share.min(1.0));
         }
     }
 
     /// A tick of the proving run: limits the speed, and returns whether the car is to roll at
     /// neutral and what to add to the steering. Without one, nothing changes.
-    fn prove(&mut self, now: Time, estimate: &Estimate, action: &mut Action) -> (bool, f64) {
+    fn prove(&mut self, now: Time, estimate: &Estimate, output: &mut Output) -> (bool, f64) {
         let watches = &mut self.watches;
         let Some(proving) = &mut watches.proving else {
             return (false, 0.0);
         };
-        let start_judged = watches.drive.start.is_judged();
+        let start_judged = watches.drive.start.is_judged;
         let tick = proving.tick(now, estimate.speed, self.config.braking, start_judged);
         if tick.coast {
             // The drive goes on from the speed to which the car has rolled.
@@ -324,12 +313,12 @@ impl Pilot {
         self.law.cap_speed(FIRST_METRE.speed);
         if let Some(measured) = tick.coasted {
             watches.stops.coasted(measured);
-            action.coasted = Some(measured);
+            output.braking_measured = Some(measured);
         }
         if tick.passed {
             self.proved = true;
             watches.proving = None;
-            action.proved = true;
+            output.proved = true;
         }
         (tick.coast, tick.steering)
     }

@@ -121,7 +121,7 @@ impl Pilot {
         Conditions {
             now,
             pose_time: self.pose_time,
-            blind_distance: watches.blind.distance(),
+            blind_distance: watches.blind.distance,
             poses: self.estimator.poses(),
             implausible: self.estimator.implausible_in_a_row(),
             imu_time: match self.imu {
@@ -207,7 +207,7 @@ impl Pilot {
             reaction: REACTION,
             braking: self.watches.braking(&self.config),
         };
-        let ahead = self.watches.blind.distance() + stop.way(pace);
+        let ahead = self.watches.blind.distance + stop.way(pace);
         let present = if fabs(estimate.speed) > BENDS_FROM {
             self.witnessed(now, estimate).yaw_rate / estimate.speed
         } else {

@@ -49,6 +49,8 @@ pub struct Pilot {
     obstacles: Obstacles,
     /// The time of the drive by which its reference is later, s.
     waited: f64,
+    /// The share of the tick's period by which the reference waits.
+    delay: f64,
     /// None if it does not learn.
     learning: Option<Learning>,
     /// Where p goes to, in m; the law has the one of now.
@@ -104,6 +106,7 @@ impl Pilot {
             safety: Safety::new(config.safety.as_ref()),
             obstacles: Obstacles::new(config.neighbours.as_ref()),
             waited: 0.0,
+            delay: 0.0,
             learning: config.learns.then(Learning::default),
             wanted_point_distance: config.law.point_distance(),
             estimator: Estimator::new(config.estimator),
@@ -200,11 +203,11 @@ impl Pilot {
     pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {
         let sensed = self.sense(now, events, None, |_, _, _| {});
         let verdict = self.judge(&sensed);
-        let (action, singular) = self.act(&sensed);
+        let (output, singular) = self.act(&sensed);
         let fault = singular.map(|reason| self.fault(reason, &sensed));
-        self.commanded_steering = action
+        self.commanded_steering = output
             .command
-            .map_or(action.actuation.steering, |command| command.steering);
+            .map_or(output.actuation.steering, |command| command.steering);
         let sent = self.commanded_steering;
         let wheels = self.learning.map_or(sent, |it| it.in_force.wheels(sent));
         self.estimator.send(now, wheels);
@@ -221,30 +224,19 @@ impl Pilot {
             estimate,
             covariance: estimate.and(self.estimator.covariance()),
             held: sensed.held,
-            drive_time: action.drive_time,
-            reference: action.reference,
-            point: action.point.filter(|_| sensed.is_measured),
-            point_velocity: action.point_velocity,
-            actuation: action.actuation,
-            turning_round: action.turning_round,
-            looked_ahead: action.looked_ahead,
-            path: action.path,
-            slowed_by: action.slowed_by,
-            command: action.command,
+            point: output.point.filter(|_| sensed.is_measured),
             jog: self.jog,
             request: fault.or(verdict.request),
-            proved: action.proved,
             disproved,
-            braking_measured: action.coasted.or(verdict.braking_measured),
+            braking_measured: output.braking_measured.or(verdict.braking_measured),
             preflight: self.supervisor.preflight(),
             setpoint: match &self.config.reference {
                 Reference::External(external) => external.in_force(),
                 _ => None,
             },
             setpoint_refused: self.setpoint_refused,
-            filtering: action.filtering,
-            filtered_ticks: action.filtered_ticks,
             tuned: self.tuned(),
+            ..output
         }
     }
 }

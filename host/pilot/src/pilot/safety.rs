@@ -5,33 +5,12 @@ use libm::fabs;
 use singletrack_control::words;
 use singletrack_control::{
     Actuation, Ahead, Estimate, Expected, Filtered, FilteredDemand, LimitedLaw, Motion,
-    NeighbourConfig, NeighbourSample, NeighbourSides, Neighbours, Position, ReferencePoint,
-    SafetyFilter, SafetyInput, Singularity, SlowedBy, SpeedDemand, SteeringDemand, Time, Velocity,
+    NeighbourConfig, NeighbourSample, NeighbourSides, Neighbours, SafetyFilter, SafetyInput,
+    Singularity, SpeedDemand, SteeringDemand, Time, Velocity,
 };
 
-use super::{DriveCommand, Pilot};
+use super::{Output, Pilot};
 use crate::{supervisor::Reason, watch::WAVE};
-
-/// What a tick commands, and what led there; see [`Output`](super::Output).
-pub(super) struct Action {
-    pub(super) drive_time: Option<f64>,
-    pub(super) reference: Option<ReferencePoint>,
-    pub(super) point: Option<Position>,
-    pub(super) point_velocity: Option<Velocity>,
-    pub(super) actuation: Actuation,
-    pub(super) turning_round: bool,
-    pub(super) looked_ahead: Option<f64>,
-    pub(super) path: Option<f64>,
-    /// The share of the period by which the reference waits.
-    pub(super) delay: f64,
-    pub(super) slowed_by: Option<SlowedBy>,
-    pub(super) command: Option<DriveCommand>,
-    pub(super) proved: bool,
-    /// The deceleration of the proving run's roll, m/s².
-    pub(super) coasted: Option<f64>,
-    pub(super) filtering: Filtering,
-    pub(super) filtered_ticks: u32,
-}
 
 words! {
     /// What the safety filter did in a tick.
@@ -147,7 +126,7 @@ impl Pilot {
             law: &self.law,
             wheels,
             wave: self.wave(),
-            blind: self.watches.blind.distance(),
+            blind: self.watches.blind.distance,
             braking: self.watches.braking(&self.config),
             period: self.config.period,
             neighbours: &self.obstacles.sides,
@@ -165,9 +144,9 @@ impl Pilot {
         estimate: &Estimate,
         step: &LawStep,
         wanted: &Velocity,
-        action: &mut Action,
+        output: &mut Output,
     ) -> Result<Actuation, Singularity> {
-        action.point_velocity = Some(*wanted);
+        output.point_velocity = Some(*wanted);
         let (period, cap) = (self.config.period, self.watches.speed_cap());
         let advance = |law: &mut LimitedLaw, velocity: &Velocity| {
             law.step_ahead(&step.motion, estimate.speed, velocity, &step.ahead, period)
@@ -196,9 +175,9 @@ impl Pilot {
         let velocity = velocity.filter(|_| !waits);
         if yields || waits {
             let given = velocity.unwrap_or_default();
-            action.delay = self.obstacles.delay(wanted, &given);
+            self.delay = self.obstacles.delay(wanted, &given);
         }
-        action.point_velocity = velocity;
+        output.point_velocity = velocity;
         let actuation = match velocity {
             Some(velocity) => {
                 if filtering != Filtering::None {

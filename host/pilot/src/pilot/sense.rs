@@ -381,7 +381,7 @@ impl Pilot {
             // Not so a drive of ours, which begins with a car at rest, and has an accelerometer.
             let moves = self.motor_speed.abs() >= self.config.supervisor.standing_speed;
             if moves || self.imu != Imu::Whole {
-                self.watches.drive.start.skip();
+                self.watches.drive.start.is_judged = true;
             }
         }
         let conditions = self.conditions(&sensed);

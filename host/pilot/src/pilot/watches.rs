@@ -157,7 +157,7 @@ impl Watches {
     pub(super) fn preflight(&self, config: &PilotConfig) -> Option<Reason> {
         let marker_yaw = config.estimator.marker_yaw;
         self.attitude.check(marker_yaw, &config.watch).or(match () {
-            () if self.push.is_wrong() => Some(Reason::BodyYawWrong),
+            () if self.push.is_wrong => Some(Reason::BodyYawWrong),
             // What it measures decides about the next drive.
             () if self.stops.is_underway() => Some(Reason::Moving),
             () if self.stops.is_too_weak(config.braking) => Some(Reason::BrakesLessThanConfigured),
@@ -168,7 +168,7 @@ impl Watches {
     /// What forbids to arm and to drive.
     pub(super) fn doubt(&self, now: Time) -> Option<Reason> {
         match () {
-            () if self.frozen.is_frozen() => Some(Reason::PoseFrozen),
+            () if self.frozen.is_frozen => Some(Reason::PoseFrozen),
             () if self.steps.are_too_rare(now) => Some(Reason::PosesTooRare),
             () if self.attitude.is_uncertain() => Some(Reason::CaptureTimeUncertain),
             () => None,
@@ -178,7 +178,7 @@ impl Watches {
     /// Whether anything is on the way to end a drive, or the first metre is driven.
     pub(super) fn doubts_motion(&self, now: Time) -> bool {
         self.proving.is_some()
-            || self.drive.slide.is_beyond()
+            || self.drive.slide.is_beyond
             || self.drive.steering.is_doubtful()
             || self.doubt(now).is_some()
     }
@@ -194,12 +194,12 @@ impl Watches {
         let bias = fabs(forward).max(fabs(left));
         // What gyro and cameras agree on is the turn of the car.
         match () {
-            () if drive.gyro.is_opposite() => Some(Reason::GyroDiffers),
+            () if drive.gyro.is_opposite => Some(Reason::GyroDiffers),
             () if drive.sideslip.is_exceeded() || drive.slide.is_exceeded() => {
                 Some(self.across().unwrap_or(Reason::SideslipImplausible))
             }
             () if drive.steering.is_exceeded() => Some(Reason::SteeringDiffers),
-            () if drive.start.differs() || bias > watch.max_acceleration_bias => {
+            () if drive.start.differs || bias > watch.max_acceleration_bias => {
                 Some(Reason::AccelerometerDiffers)
             }
             () if drive.innovations.is_inconsistent() => Some(Reason::EstimateInconsistent),
@@ -213,7 +213,7 @@ impl Watches {
         let mismatch = self.drive.speeds.is_mismatched();
         self.proving
             .as_ref()?
-            .found()
+            .found
             .or(implausible_motion)
             .or(mismatch.then_some(Reason::MotorSpeedMismatch))
     }

@@ -36,9 +36,10 @@ fn volts(health: &BoardHealth) -> f64 {
     f64::from(health.battery_mv) / 1_000.0
 }
 
-/// The latest value of every event that describes a state.
+/// The latest value of every event that describes a state, and the limits for it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct LatestState {
+    pub(super) config: SupervisorConfig,
     link: LinkState,
     /// The state of the board's safety machine; `None` before the first telemetry.
     pub(super) board: Option<BoardState>,
@@ -58,8 +59,9 @@ pub(super) struct LatestState {
 }
 
 impl LatestState {
-    pub(super) const fn new() -> Self {
+    pub(super) const fn new(config: SupervisorConfig) -> Self {
         Self {
+            config,
             link: LinkState::Down,
             board: None,
             health: None,
@@ -84,10 +86,13 @@ impl LatestState {
         }
     }
 
-    pub(super) fn set_health(&mut self, health: BoardHealth, config: &SupervisorConfig) {
+    pub(super) fn set_health(&mut self, health: BoardHealth) {
         self.health = Some(health);
         self.health_heard = true;
-        count(&mut self.battery_low, volts(&health) < config.min_battery);
+        count(
+            &mut self.battery_low,
+            volts(&health) < self.config.min_battery,
+        );
         count(&mut self.imu_fault, health.imu_fault);
     }
 
@@ -128,24 +133,20 @@ impl LatestState {
     }
 
     /// The arming check: everything that must hold before the board is asked to arm.
-    pub(super) fn arming_check(
-        &self,
-        conditions: &Conditions,
-        config: &SupervisorConfig,
-    ) -> Option<Reason> {
+    pub(super) fn arming_check(&self, conditions: &Conditions) -> Option<Reason> {
         // The estimated speed of a car at rest is noisier than that of the cameras: it follows an
         // accelerometer that is believed to shake. A NaN moves.
         let seen = conditions.camera_speed.unwrap_or(conditions.speed);
-        let standing = conditions.motor_speed.abs() < config.standing_speed
-            && seen.abs() < config.standing_speed
+        let standing = conditions.motor_speed.abs() < self.config.standing_speed
+            && seen.abs() < self.config.standing_speed
             && conditions.speed.abs() <= MOVES_WHILE_ARMING;
         self.check_board()
-            .or_else(|| self.check_health_to_arm(conditions.now, config))
+            .or_else(|| self.check_health_to_arm(conditions.now))
             .or_else(|| self.check_imu_health(1))
-            .or_else(|| check_imu(conditions, config))
-            .or_else(|| self.check_pose(conditions, config.fresh, config))
+            .or_else(|| self.check_imu(conditions))
+            .or_else(|| self.check_pose(conditions, self.config.fresh))
             .or_else(|| {
-                let unsettled = conditions.poses < config.settling_poses;
+                let unsettled = conditions.poses < self.config.settling_poses;
                 unsettled.then_some(Reason::EstimateUnsettled)
             })
             .or_else(|| (!standing).then_some(Reason::Moving))
@@ -156,89 +157,63 @@ impl LatestState {
     }
 
     /// The arming check for jogging: poses, IMU, geofence and reference do not matter.
-    pub(super) fn jogging_check(
-        &self,
-        conditions: &Conditions,
-        config: &SupervisorConfig,
-    ) -> Option<Reason> {
+    pub(super) fn jogging_check(&self, conditions: &Conditions) -> Option<Reason> {
         // A NaN moves.
-        let standing = conditions.motor_speed.abs() < config.standing_speed;
+        let standing = conditions.motor_speed.abs() < self.config.standing_speed;
         self.check_board()
-            .or_else(|| self.check_health_to_arm(conditions.now, config))
+            .or_else(|| self.check_health_to_arm(conditions.now))
             .or_else(|| (!standing).then_some(Reason::Moving))
             .or_else(|| conditions.late.then_some(Reason::DeadlineMissed))
     }
 
     /// What must still hold while the board arms for jogging.
-    pub(super) fn check_while_arming_to_jog(
-        &self,
-        conditions: &Conditions,
-        config: &SupervisorConfig,
-    ) -> Option<Reason> {
+    pub(super) fn check_while_arming_to_jog(&self, conditions: &Conditions) -> Option<Reason> {
         let rests = conditions.motor_speed.abs() <= MOVES_WHILE_ARMING;
-        self.check_health_to_arm(conditions.now, config)
+        self.check_health_to_arm(conditions.now)
             .or_else(|| (!rests).then_some(Reason::Moving))
             .or_else(|| conditions.late.then_some(Reason::DeadlineMissed))
     }
 
     /// What must hold while jogging; else the motor goes to neutral.
-    pub(super) fn check_while_jogging(
-        &self,
-        conditions: &Conditions,
-        config: &SupervisorConfig,
-    ) -> Option<Reason> {
-        self.check_health(conditions.now, config)
+    pub(super) fn check_while_jogging(&self, conditions: &Conditions) -> Option<Reason> {
+        self.check_health(conditions.now)
             .or_else(|| conditions.late.then_some(Reason::DeadlineMissed))
     }
 
     /// What must still hold while the board arms.
-    pub(super) fn check_while_arming(
-        &self,
-        conditions: &Conditions,
-        config: &SupervisorConfig,
-    ) -> Option<Reason> {
+    pub(super) fn check_while_arming(&self, conditions: &Conditions) -> Option<Reason> {
         // No command has been given yet: a throttle that is stuck drives at once when a kill
         // output switches the supply on. A NaN moves.
         let rests = conditions.motor_speed.abs() <= MOVES_WHILE_ARMING
             && conditions.speed.abs() <= MOVES_WHILE_ARMING;
-        self.check_health_to_arm(conditions.now, config)
+        self.check_health_to_arm(conditions.now)
             .or_else(|| self.check_imu_health(1))
             .or_else(|| (!rests).then_some(Reason::Moving))
-            .or_else(|| check_imu(conditions, config))
-            .or_else(|| self.check_pose(conditions, config.fresh, config))
+            .or_else(|| self.check_imu(conditions))
+            .or_else(|| self.check_pose(conditions, self.config.fresh))
             .or_else(|| check_fence_and_deadlines(conditions))
             .or(conditions.doubt)
             .or(conditions.preflight)
     }
 
     /// What must hold while the car drives; else it stops.
-    pub(super) fn check_while_driving(
-        &self,
-        conditions: &Conditions,
-        config: &SupervisorConfig,
-    ) -> Option<Reason> {
-        self.check_health(conditions.now, config)
-            .or_else(|| self.check_drive(conditions, config))
+    pub(super) fn check_while_driving(&self, conditions: &Conditions) -> Option<Reason> {
+        self.check_health(conditions.now)
+            .or_else(|| self.check_drive(conditions))
     }
 
     /// What must hold of a car that something else drives: without the board's status, if there
     /// has never been one.
-    pub(super) fn check_while_observed(
-        &self,
-        conditions: &Conditions,
-        config: &SupervisorConfig,
-    ) -> Option<Reason> {
+    pub(super) fn check_while_observed(&self, conditions: &Conditions) -> Option<Reason> {
         let told = self.health.is_some() && self.real_time.is_some();
-        let health = told.then(|| self.check_health(conditions.now, config));
-        health
-            .flatten()
-            .or_else(|| self.check_drive(conditions, config))
+        let health = told.then(|| self.check_health(conditions.now));
+        health.flatten().or_else(|| self.check_drive(conditions))
     }
 
-    fn check_drive(&self, conditions: &Conditions, config: &SupervisorConfig) -> Option<Reason> {
+    fn check_drive(&self, conditions: &Conditions) -> Option<Reason> {
         self.check_imu_health(IMU_FAULT_REPORTS)
-            .or_else(|| check_imu(conditions, config))
-            .or_else(|| self.check_pose(conditions, config.blind, config))
+            .or_else(|| self.check_imu(conditions))
+            .or_else(|| self.check_pose(conditions, self.config.blind))
             .or_else(|| check_fence_and_deadlines(conditions))
             .or(conditions.filter)
             .or(conditions.contradiction)
@@ -253,19 +228,20 @@ impl LatestState {
 
     /// [`check_health`](Self::check_health) with the battery limit for arming, which is
     /// higher: the battery must last for a drive.
-    fn check_health_to_arm(&self, now: Time, config: &SupervisorConfig) -> Option<Reason> {
-        self.check_health(now, config).or_else(|| {
+    fn check_health_to_arm(&self, now: Time) -> Option<Reason> {
+        self.check_health(now).or_else(|| {
             let health = self.health?;
-            let limited = config.arm_battery > 0.0;
-            match volts(&health) < config.arm_battery {
-                _ if limited && health.battery_open => Some(Reason::BatteryOpen),
+            let least = self.config.arm_battery;
+            match volts(&health) < least {
+                _ if least > 0.0 && health.battery_open => Some(Reason::BatteryOpen),
                 low => low.then_some(Reason::BatteryLow),
             }
         })
     }
 
     /// Stop switch, battery, real-time grants and serial line.
-    fn check_health(&self, now: Time, config: &SupervisorConfig) -> Option<Reason> {
+    fn check_health(&self, now: Time) -> Option<Reason> {
+        let config = &self.config;
         let heard = now.seconds_since(self.health_time) <= HEALTH_SILENCE;
         let Some(health) = self.health.filter(|_| heard) else {
             return Some(Reason::BatteryUnknown);
@@ -299,13 +275,8 @@ impl LatestState {
     }
 
     /// The poses: plausible, and the last accepted one no older than `max_age` (s).
-    pub(super) fn check_pose(
-        &self,
-        conditions: &Conditions,
-        max_age: f64,
-        config: &SupervisorConfig,
-    ) -> Option<Reason> {
-        if self.untrustworthy || conditions.implausible >= config.max_implausible {
+    pub(super) fn check_pose(&self, conditions: &Conditions, max_age: f64) -> Option<Reason> {
+        if self.untrustworthy || conditions.implausible >= self.config.max_implausible {
             return Some(Reason::PoseImplausible);
         }
         match conditions.pose_time {
@@ -314,18 +285,18 @@ impl LatestState {
             Some(_) => None,
         }
     }
-}
 
-/// The inertial samples: recent and plausible.
-fn check_imu(conditions: &Conditions, config: &SupervisorConfig) -> Option<Reason> {
-    let heard = conditions
-        .imu_time
-        .is_some_and(|time| conditions.now.seconds_since(time) <= config.imu_silence);
-    match conditions.imu {
-        _ if !heard => Some(Reason::ImuSilent),
-        ImuVerdict::Stuck => Some(Reason::ImuStuck),
-        ImuVerdict::Implausible => Some(Reason::ImuImplausible),
-        ImuVerdict::Good => None,
+    /// The inertial samples: recent and plausible.
+    fn check_imu(&self, conditions: &Conditions) -> Option<Reason> {
+        let heard = conditions
+            .imu_time
+            .is_some_and(|time| conditions.now.seconds_since(time) <= self.config.imu_silence);
+        match conditions.imu {
+            _ if !heard => Some(Reason::ImuSilent),
+            ImuVerdict::Stuck => Some(Reason::ImuStuck),
+            ImuVerdict::Implausible => Some(Reason::ImuImplausible),
+            ImuVerdict::Good => None,
+        }
     }
 }
 

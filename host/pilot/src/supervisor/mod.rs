@@ -73,7 +73,6 @@ pub const JOG_TIMEOUT: f64 = 0.25;
 /// The state machine of the modes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Supervisor {
-    config: SupervisorConfig,
     mode: Mode,
     reason: Option<Reason>,
     /// Why the last drive, or the last attempt to arm, ended.
@@ -118,7 +117,6 @@ impl Supervisor {
     /// A supervisor in [`Mode::Disconnected`], before any event.
     pub fn new(config: SupervisorConfig) -> Self {
         Self {
-            config,
             mode: Mode::Disconnected,
             reason: Some(Reason::LinkDown),
             ended: None,
@@ -126,7 +124,7 @@ impl Supervisor {
             unacknowledged: None,
             since: Time(0),
             resting: None,
-            latest: LatestState::new(),
+            latest: LatestState::new(config),
             poses_before: 0,
             latched: false,
             heard: Heard::default(),
@@ -169,7 +167,7 @@ impl Supervisor {
     /// Replaces the limits from the next step on. The state of board and line and the
     /// reason why the last drive ended are kept.
     pub const fn reconfigure(&mut self, config: SupervisorConfig) {
-        self.config = config;
+        self.latest.config = config;
     }
 
     /// The link to the board changed. Unless it is ready, the state of board and line is
@@ -181,7 +179,7 @@ impl Supervisor {
     /// A status message of the board. A low battery is counted against
     /// [`SupervisorConfig::min_battery`].
     pub fn handle_health(&mut self, health: BoardHealth) {
-        self.latest.set_health(health, &self.config);
+        self.latest.set_health(health);
     }
 
     /// The share of damaged frames was measured.
@@ -336,8 +334,8 @@ impl Supervisor {
     pub fn observed(&mut self, conditions: &Conditions) -> Option<Reason> {
         self.latest.begin_tick(conditions.now);
         let drives = self.mode == Mode::Driving;
-        let reason = drives.then(|| self.latest.check_while_observed(conditions, &self.config));
-        let too_far = drives && conditions.blind_distance > self.config.blind_distance;
+        let reason = drives.then(|| self.latest.check_while_observed(conditions));
+        let too_far = drives && conditions.blind_distance > self.latest.config.blind_distance;
         reason.flatten().or(too_far.then_some(Reason::BlindTooFar))
     }
 
@@ -378,11 +376,11 @@ impl Supervisor {
         let armed = board.is_some_and(BoardState::is_armed);
         let check = self
             .unacknowledged
-            .or_else(|| self.latest.arming_check(conditions, &self.config));
+            .or_else(|| self.latest.arming_check(conditions));
         if arm == Some(Arming::Jog) {
             let refused = self
                 .unacknowledged
-                .or_else(|| self.latest.jogging_check(conditions, &self.config));
+                .or_else(|| self.latest.jogging_check(conditions));
             if refused.is_none() {
                 return Some(self.begin_arming(Arming::Jog, now));
             }
@@ -443,10 +441,9 @@ impl Supervisor {
             return self.abort_arming(Reason::BoardRefused, now);
         }
         let failed = if self.jogs {
-            self.latest
-                .check_while_arming_to_jog(conditions, &self.config)
+            self.latest.check_while_arming_to_jog(conditions)
         } else {
-            self.latest.check_while_arming(conditions, &self.config)
+            self.latest.check_while_arming(conditions)
         };
         if let Some(reason) = failed {
             return self.abort_arming(reason, now);
@@ -467,7 +464,7 @@ impl Supervisor {
     /// The longest time that the board may take, s: longer once it switches the supply on.
     fn arm_timeout(&self) -> f64 {
         let powering_up = self.latest.board == Some(BoardState::PoweringUp);
-        self.config.arm_timeout + if powering_up { POWER_UP } else { 0.0 }
+        self.latest.config.arm_timeout + if powering_up { POWER_UP } else { 0.0 }
     }
 
     fn abort_arming(&mut self, reason: Reason, now: Time) -> Option<BoardRequest> {
@@ -489,7 +486,7 @@ impl Supervisor {
         } else if conditions.reference_finished {
             Some(Reason::ReferenceFinished)
         } else {
-            self.latest.check_while_driving(conditions, &self.config)
+            self.latest.check_while_driving(conditions)
         };
         let contradicts = |reason: &Reason| reason.contradicts_proof();
         self.unacknowledged = conditions
@@ -500,7 +497,7 @@ impl Supervisor {
             self.enter(Mode::Idle, reason.or(Some(Reason::PoseTooOld)), now);
             return Some(BoardRequest::Disarm);
         }
-        let too_far = conditions.blind_distance > self.config.blind_distance;
+        let too_far = conditions.blind_distance > self.latest.config.blind_distance;
         match reason.or(too_far.then_some(Reason::BlindTooFar)) {
             Some(reason) => self.enter(Mode::Stopping, Some(reason), now),
             None => match self.check_hold(conditions) {
@@ -522,16 +519,16 @@ impl Supervisor {
     fn check_hold(&self, conditions: &Conditions) -> Option<Reason> {
         let slowing = self.mode == Mode::Slowing;
         let max_age = if slowing {
-            self.config.fresh
+            self.latest.config.fresh
         } else {
-            self.config.hold
+            self.latest.config.hold
         };
-        let too_far = conditions.blind_distance > self.config.hold_distance;
+        let too_far = conditions.blind_distance > self.latest.config.hold_distance;
         // An estimate that was reset counts from zero.
         let since = conditions.poses.checked_sub(self.poses_before);
         let returned = since.unwrap_or(conditions.poses) >= POSES_TO_GO_ON;
         self.latest
-            .check_pose(conditions, max_age, &self.config)
+            .check_pose(conditions, max_age)
             .or(too_far.then_some(Reason::BlindTooFar))
             .or(self.reason.filter(|_| slowing && !returned))
     }
@@ -547,14 +544,14 @@ impl Supervisor {
         let resting = *self.resting.get_or_insert(now);
         let blind = self
             .latest
-            .check_pose(conditions, self.config.fresh, &self.config)
+            .check_pose(conditions, self.latest.config.fresh)
             .is_some();
-        let standing_speed = self.config.standing_speed;
+        let standing_speed = self.latest.config.standing_speed;
         let seen = conditions.camera_speed.unwrap_or(0.0);
         let stands = conditions.motor_speed.abs() < standing_speed && seen < standing_speed;
         let stands = conditions.commanded_speed == 0.0
             && (stands || (blind && now.seconds_since(resting) >= REST));
-        let late = now.seconds_since(self.since) > self.config.stop_timeout;
+        let late = now.seconds_since(self.since) > self.latest.config.stop_timeout;
         if stands || late || self.must_disarm(conditions) {
             self.enter(Mode::Idle, self.reason, now);
             return Some(BoardRequest::Disarm);
@@ -572,7 +569,7 @@ impl Supervisor {
         if self.follow_stopped_board(now) {
             return None;
         }
-        let reason = stop.or_else(|| self.latest.check_while_jogging(conditions, &self.config))?;
+        let reason = stop.or_else(|| self.latest.check_while_jogging(conditions))?;
         self.enter(Mode::Idle, Some(reason), now);
         Some(BoardRequest::Disarm)
     }
@@ -581,7 +578,7 @@ impl Supervisor {
     fn must_disarm(&self, conditions: &Conditions) -> bool {
         conditions
             .pose_time
-            .is_some_and(|time| conditions.now.seconds_since(time) >= self.config.disarm_age)
+            .is_some_and(|time| conditions.now.seconds_since(time) >= self.latest.config.disarm_age)
     }
 
     /// Leaves the drive if the board is no longer armed; true if so. There is nothing to

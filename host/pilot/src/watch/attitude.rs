@@ -103,7 +103,8 @@ pub(crate) struct PushWatch {
     along: f64,
     across: f64,
     motor_way: f64,
-    is_wrong: bool,
+    /// Whether the yaw of the body does not fit the last motion.
+    pub(crate) is_wrong: bool,
 }
 
 /// The way that the car must roll, m.
@@ -144,11 +145,6 @@ impl PushWatch {
                 ..Self::default()
             };
         }
-    }
-
-    /// Whether the yaw of the body does not fit the last motion.
-    pub(crate) const fn is_wrong(&self) -> bool {
-        self.is_wrong
     }
 }
 
@@ -341,7 +337,7 @@ mod tests {
         for step in steps {
             watch.step(&step);
         }
-        watch.is_wrong()
+        watch.is_wrong
     }
 
     #[test]

@@ -11,7 +11,8 @@ use super::{WatchConfig, count, steps::Step};
 pub(crate) struct FrozenWatch {
     last: Option<PoseSample>,
     since: Option<Time>,
-    frozen: bool,
+    /// Whether the poses repeat for too long.
+    pub(crate) is_frozen: bool,
 }
 
 impl FrozenWatch {
@@ -24,18 +25,13 @@ impl FrozenWatch {
             let since = *self
                 .since
                 .get_or_insert(self.last.map_or(pose.capture, |last| last.capture));
-            self.frozen = config.frozen_poses > 0.0
+            self.is_frozen = config.frozen_poses > 0.0
                 && pose.capture.seconds_since(since) >= config.frozen_poses;
         } else {
             self.since = None;
-            self.frozen = false;
+            self.is_frozen = false;
         }
         self.last = Some(*pose);
-    }
-
-    /// Whether the poses repeat for too long.
-    pub(crate) const fn is_frozen(&self) -> bool {
-        self.frozen
     }
 }
 
@@ -182,7 +178,8 @@ const TENTHS: u32 = 20;
 /// car keeps its command for it, and stops if it lasts.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SlideWatch {
-    beyond: bool,
+    /// Whether the sideslip of this tick is too large to act on.
+    pub(crate) is_beyond: bool,
     /// The ticks beyond it less those within, in tenths.
     more: u32,
 }
@@ -198,7 +195,7 @@ impl SlideWatch {
         let rolls = atan(car.rear_axle_distance / car.wheelbase * tan(limits.max_steering));
         // A NaN is beyond it.
         let fits = estimate.is_none_or(|estimate| fabs(estimate.sideslip) <= rolls + SLIDES);
-        self.beyond = !fits;
+        self.is_beyond = !fits;
         let across = estimate.map_or(0.0, |estimate| {
             fabs(estimate.speed * sin(estimate.sideslip))
         });
@@ -209,11 +206,6 @@ impl SlideWatch {
         } else {
             self.more.saturating_add(10)
         };
-    }
-
-    /// Whether the sideslip of this tick is too large to act on.
-    pub(crate) const fn is_beyond(&self) -> bool {
-        self.beyond
     }
 
     /// Whether it has been for too long, or too often.
@@ -248,7 +240,7 @@ mod tests {
         for pose in poses {
             watch.pose(&pose, config);
         }
-        watch.is_frozen()
+        watch.is_frozen
     }
 
     #[test]
@@ -576,7 +568,7 @@ mod tests {
                 pose_time: Time(0),
             };
             watch.tick(Some(&estimate), &car, &limits);
-            (watch.is_beyond(), watch.is_exceeded())
+            (watch.is_beyond, watch.is_exceeded())
         }
     }
 }

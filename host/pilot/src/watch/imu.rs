@@ -115,7 +115,8 @@ impl Turns {
 pub(crate) struct GyroWatch {
     /// The last steps: time (s), turns by cameras and gyro (rad).
     steps: HistoryBuf<[f64; 3], STEPS>,
-    opposite: bool,
+    /// Whether it has turned to the other side in this drive.
+    pub(crate) is_opposite: bool,
 }
 
 /// The number of steps in which a slow turn is seen.
@@ -139,15 +140,10 @@ impl GyroWatch {
             turn += step_turn;
             gyro_turn += step_gyro_turn;
             if time >= SPAN && fabs(turn) > COMPARED {
-                self.opposite |= copysign(1.0, turn) * gyro_turn < OPPOSITE * fabs(turn);
+                self.is_opposite |= copysign(1.0, turn) * gyro_turn < OPPOSITE * fabs(turn);
                 break;
             }
         }
-    }
-
-    /// Whether it has turned to the other side in this drive.
-    pub(crate) const fn is_opposite(&self) -> bool {
-        self.opposite
     }
 }
 
@@ -168,14 +164,16 @@ pub(crate) struct StartWatch {
     time: f64,
     forward: f64,
     left: f64,
-    judged: bool,
-    differs: bool,
+    /// Whether the start is over; a drive that begins with a car that moves has none.
+    pub(crate) is_judged: bool,
+    /// Whether the accelerometer contradicted the speed.
+    pub(crate) differs: bool,
 }
 
 impl StartWatch {
     /// A step of the drive. `variance` is the power of the accelerometer's noise, m²/s⁴/Hz.
     pub(crate) fn step(&mut self, step: &Step, variance: f64) {
-        if self.judged {
+        if self.is_judged {
             return;
         }
         // Backward in reverse, as the motor turns.
@@ -187,7 +185,7 @@ impl StartWatch {
         self.forward += step.forward;
         self.left += step.left;
         let fast = fabs(speed) >= ACCELERATED;
-        self.judged = fast || self.time > WITHIN;
+        self.is_judged = fast || self.time > WITHIN;
         if fast {
             let (margin, share) = TOLERANCE;
             // A NaN differs.
@@ -195,21 +193,6 @@ impl StartWatch {
             let fits = hypot(forward - speed, left) <= margin + share * fabs(speed) + noise;
             self.differs = !fits;
         }
-    }
-
-    /// The drive begins with a car that moves: its start says nothing.
-    pub(crate) const fn skip(&mut self) {
-        self.judged = true;
-    }
-
-    /// Whether the start is over.
-    pub(crate) const fn is_judged(&self) -> bool {
-        self.judged
-    }
-
-    /// Whether the accelerometer contradicted the speed.
-    pub(crate) const fn differs(&self) -> bool {
-        self.differs
     }
 }
 
@@ -351,7 +334,7 @@ mod tests {
         (1..=200)
             .find(|_| {
                 watch.step(&step(0.05, 0.02, 0.02 * gain));
-                watch.is_opposite()
+                watch.is_opposite
             })
             .map(|steps| 0.02 * f64::from(steps))
     }
@@ -374,12 +357,12 @@ mod tests {
             let mut watch = GyroWatch::default();
             for _ in 0..before {
                 watch.step(&step(0.05, -0.02, -0.019));
-                assert!(!watch.is_opposite());
+                assert!(!watch.is_opposite);
             }
             // A bias of 1 rad/s, while the bend is entered.
             let found = [-0.001, -0.02, -0.025, -0.03].map(|turn| {
                 watch.step(&step(0.05, turn, turn + 0.05));
-                watch.is_opposite()
+                watch.is_opposite
             });
             assert!(found[3], "{before}: {found:?}");
         }
@@ -390,7 +373,7 @@ mod tests {
         let mut watch = GyroWatch::default();
         let found = [-0.006; 8].map(|gyro_turn| {
             watch.step(&step(0.05, 0.006, gyro_turn));
-            watch.is_opposite()
+            watch.is_opposite
         });
         assert_eq!(found.iter().position(|found| *found), Some(6));
     }
@@ -403,17 +386,17 @@ mod tests {
             // A bias of 0.05 rad/s beside cameras with a noise of 25 mrad.
             watch.step(&step(0.1, sign * 0.025, 0.005));
         }
-        assert!(!watch.is_opposite());
+        assert!(!watch.is_opposite);
     }
 
     #[test]
     fn the_next_drive_begins_anew() {
         let mut watch = GyroWatch::default();
-        while !watch.is_opposite() {
+        while !watch.is_opposite {
             watch.step(&step(0.1, 0.05, -0.05));
         }
         watch = GyroWatch::default();
-        assert!(!watch.is_opposite());
+        assert!(!watch.is_opposite);
     }
 
     /// A step with its time (s), its speed (m/s), and what the accelerometer measures forward
@@ -442,18 +425,18 @@ mod tests {
 
     #[test]
     fn a_start_is_judged_at_its_speed() {
-        assert!(!after_start(&[]).is_judged());
-        assert!(!after_start(&[starting(0.1, 0.179, 0.0, 0.0)]).is_judged());
-        assert!(after_start(&[starting(0.1, 0.181, 0.0, 0.0)]).is_judged());
+        assert!(!after_start(&[]).is_judged);
+        assert!(!after_start(&[starting(0.1, 0.179, 0.0, 0.0)]).is_judged);
+        assert!(after_start(&[starting(0.1, 0.181, 0.0, 0.0)]).is_judged);
     }
 
     #[test]
     fn a_slow_start_is_over_after_half_a_second_and_says_nothing() {
         let slow = starting(0.25, 0.1, 5.0, 5.0);
-        assert!(!after_start(&[slow]).is_judged());
-        assert!(!after_start(&[slow, slow]).is_judged());
+        assert!(!after_start(&[slow]).is_judged);
+        assert!(!after_start(&[slow, slow]).is_judged);
         let watch = after_start(&[slow, slow, slow]);
-        assert!(watch.is_judged() && !watch.differs());
+        assert!(watch.is_judged && !watch.differs);
     }
 
     #[test]
@@ -472,8 +455,8 @@ mod tests {
             let part = if left == 0.0 { 0.0 } else { 0.05 };
             let slow = starting(0.05, 0.1, 0.05, part);
             let watch = after_start(&[slow, slow, starting(0.1, 0.3, forward, left)]);
-            assert!(watch.is_judged());
-            assert_eq!(watch.differs(), differs, "{forward} {left}");
+            assert!(watch.is_judged);
+            assert_eq!(watch.differs, differs, "{forward} {left}");
         }
     }
 
@@ -482,12 +465,12 @@ mod tests {
         let good = starting(0.1, 0.3, 0.6, 0.0);
         let bad = starting(0.1, 0.3, -0.6, 0.0);
         let mut watch = after_start(&[bad, good, good]);
-        assert!(watch.differs());
+        assert!(watch.differs);
         watch = StartWatch::default();
-        assert!(!watch.is_judged() && !watch.differs());
+        assert!(!watch.is_judged && !watch.differs);
         watch.step(&good, 0.0);
         watch.step(&bad, 0.0);
-        assert!(watch.is_judged() && !watch.differs());
+        assert!(watch.is_judged && !watch.differs);
     }
 
     #[test]
@@ -496,7 +479,7 @@ mod tests {
             let speeds = [-0.05, -0.1, -0.15, -0.2];
             after_start(&speeds.map(|speed| starting(0.05, speed, forward, 0.0)))
         };
-        assert!(start(-0.05).is_judged() && !start(-0.05).differs());
-        assert!(start(0.05).differs() && start(0.0).differs());
+        assert!(start(-0.05).is_judged && !start(-0.05).differs);
+        assert!(start(0.05).differs && start(0.0).differs);
     }
 }

@@ -152,7 +152,8 @@ impl TickWatch {
 /// of the last accepted pose; zero before the first one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct BlindWatch {
-    distance: f64,
+    /// In m.
+    pub(crate) distance: f64,
     until: Option<Time>,
 }
 
@@ -171,11 +172,6 @@ impl BlindWatch {
             self.distance += pace * now.seconds_since(until);
             self.until = Some(now);
         }
-    }
-
-    /// The distance, in m.
-    pub(crate) const fn distance(&self) -> f64 {
-        self.distance
     }
 }
 
@@ -254,15 +250,15 @@ mod tests {
         let at = |ms: u64| Time(ms * 1_000_000);
         let mut blind = BlindWatch::default();
         blind.advance(at(1_000), 1.0);
-        assert_eq!(blind.distance(), 0.0, "no pose yet");
+        assert_eq!(blind.distance, 0.0, "no pose yet");
         blind.seen(at(990));
         blind.advance(at(1_000), 1.0);
         blind.advance(at(1_020), 2.0);
-        assert!((blind.distance() - 0.05).abs() < 1e-12);
+        assert!((blind.distance - 0.05).abs() < 1e-12);
         blind.seen(at(1_015));
         blind.advance(at(1_020), 2.0);
-        assert!((blind.distance() - 0.01).abs() < 1e-12);
+        assert!((blind.distance - 0.01).abs() < 1e-12);
         blind.advance(at(1_030), f64::NAN);
-        assert!(blind.distance() > 1e9);
+        assert!(blind.distance > 1e9);
     }
 }

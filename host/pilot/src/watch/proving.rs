@@ -100,7 +100,8 @@ pub(crate) struct Proving {
     /// Driven way, m.
     way: f64,
     last: Option<Time>,
-    found: Option<Reason>,
+    /// What contradicts, if anything does.
+    pub(crate) found: Option<Reason>,
     /// Turn that the steering should have made, without its signs, and that made with it.
     wanted: f64,
     made: f64,
@@ -125,11 +126,6 @@ enum Coast {
 }
 
 impl Proving {
-    /// What contradicts, if anything does.
-    pub(crate) const fn found(&self) -> Option<Reason> {
-        self.found
-    }
-
     /// Whether the car moves across the yaw of the body rather than along it: at that angle
     /// the law is singular, before the way proves it.
     pub(crate) fn moves_across(&self) -> bool {
@@ -455,12 +451,12 @@ mod tests {
     fn the_first_contradiction_stays() {
         let crosswise = motion(0.0, 0.05);
         let mut proving = after(&[crosswise]);
-        assert_eq!(proving.found(), Some(Reason::BodyYawWrong));
+        assert_eq!(proving.found, Some(Reason::BodyYawWrong));
         for _ in 0..10 {
             proving.step(&motion(0.1, 0.0), 0.25, PULSE);
         }
-        assert_eq!(proving.found(), Some(Reason::BodyYawWrong));
-        assert_eq!(after(&[motion(0.1, 0.0); 10]).found(), None);
+        assert_eq!(proving.found, Some(Reason::BodyYawWrong));
+        assert_eq!(after(&[motion(0.1, 0.0); 10]).found, None);
     }
 
     fn at(ms: u64) -> Time {
@@ -511,7 +507,7 @@ mod tests {
         }
         let end = proving.tick(at(500), 0.3, 1.4, true);
         assert!(!end.coast && end.coasted == Some(0.0), "{end:?}");
-        assert_eq!(proving.found(), Some(Reason::BrakesLessThanConfigured));
+        assert_eq!(proving.found, Some(Reason::BrakesLessThanConfigured));
         assert_eq!(proving.tick(at(510), 0.3, 1.4, true).coasted, None);
 
         for (speed, rolls) in [(0.08, false), (0.081, true), (-0.3, false)] {
@@ -532,7 +528,7 @@ mod tests {
             // 10 m/s² is the most that is measured.
             let end = proving.tick(at(10), 0.08, braking, true);
             assert_eq!(end.coasted, Some(10.0));
-            proving.found()
+            proving.found
         };
         assert_eq!(roll(12.5, None), None);
         assert_eq!(roll(12.6, None), Some(Reason::BrakesLessThanConfigured));

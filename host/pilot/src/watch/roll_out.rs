@@ -25,7 +25,7 @@ pub(super) struct RollOut {
     /// The highest speed, m/s.
     highest: f64,
     /// The speed when it began to fall, m/s, and the way since, m.
-    from: f64,
+    pub(super) from: f64,
     way: f64,
     line: SquareLine,
 }
@@ -88,11 +88,6 @@ impl RollOut {
             self.line = SquareLine::default();
         }
         self.line.add(self.way, speed);
-    }
-
-    /// The speed when it began to fall, m/s.
-    pub(super) const fn from(&self) -> f64 {
-        self.from
     }
 
     /// The deceleration until now, with the speed that is left (m/s), in m/s².
@@ -272,7 +267,7 @@ mod tests {
             (0.3, 0.7, 0.571),
         ] {
             roll_out.tick(elapsed, speed, 0.1);
-            assert_eq!(roll_out.from(), from, "{elapsed}");
+            assert_eq!(roll_out.from, from, "{elapsed}");
         }
         assert!((roll_out.way - 0.2).abs() < 1e-12, "{}", roll_out.way);
     }
@@ -330,7 +325,7 @@ mod tests {
             let mut free = FreePart::default();
             for &(ms, speed, ramp, from) in ticks {
                 free.tick(Time(1_000_000 * ms), speed, ramp, 0.25, 0.01 * speed);
-                let found = free.roll_out().map(|roll_out| roll_out.from());
+                let found = free.roll_out().map(|roll_out| roll_out.from);
                 assert_eq!(found, from, "{ticks:?} at {ms} ms");
             }
         }

@@ -434,49 +434,41 @@ impl SteadyCircle {
         let smallest = round_up(self.least / self.factor);
         let rear = self.rear_axle(config).filter(|_| self.point >= self.least);
         let Some(rear) = rear else {
-            findings.push(Finding::impossible(
-                "reference.radius_m",
-                asked,
-                format!(
-                    "with limits.max_steering_rad = {} P can't drive a circle below {:.2} m{lags}; \
-                     give at least {smallest:.2}, or lower law.point_distance_m",
-                    limits.max_steering_rad, self.least
-                ),
-            ));
+            let fix = format!(
+                "with limits.max_steering_rad = {} P can't drive a circle below {:.2} m{lags}; \
+                 give at least {smallest:.2}, or lower law.point_distance_m",
+                limits.max_steering_rad, self.least
+            );
+            findings.push(Finding::impossible("reference.radius_m", asked, fix));
             return None;
         };
         let steering = libm::atan(wheelbase / rear);
         if steering > STEERING_RESERVE * limits.max_steering_rad {
-            findings.push(Finding::warning(
-                "reference.radius_m",
-                asked,
-                format!(
-                    "the circle takes a steering angle of {steering:.3} rad of \
-                     limits.max_steering_rad = {}, which leaves nothing for corrections{lags}; \
-                     give {:.2} or more",
-                    limits.max_steering_rad,
-                    round_up(1.05 * self.least / self.factor),
-                ),
-            ));
+            let fix = format!(
+                "the circle takes a steering angle of {steering:.3} rad of \
+                 limits.max_steering_rad = {}, which leaves nothing for corrections{lags}; \
+                 give {:.2} or more",
+                limits.max_steering_rad,
+                round_up(1.05 * self.least / self.factor),
+            );
+            findings.push(Finding::warning("reference.radius_m", asked, fix));
         }
         Some(rear)
     }
 
     /// Judges the speed and the lateral acceleration that it takes.
     pub(super) fn judge_pace(&self, config: &Config, rear: f64, findings: &mut Vec<Finding>) {
+        const RATE: &str = "reference.angular_velocity_rad_s";
         let limits = &config.limits;
         let speed = self.point * self.rate;
         if speed > limits.max_speed_m_s {
-            findings.push(Finding::impossible(
-                "reference.angular_velocity_rad_s",
-                self.rate,
-                format!(
-                    "P would drive {speed:.2} m/s; limits.max_speed_m_s is {}: lower the angular \
-                     velocity to {:.2} or less, or the radius",
-                    limits.max_speed_m_s,
-                    round_down(limits.max_speed_m_s / self.point),
-                ),
-            ));
+            let fix = format!(
+                "P would drive {speed:.2} m/s; limits.max_speed_m_s is {}: lower the angular \
+                 velocity to {:.2} or less, or the radius",
+                limits.max_speed_m_s,
+                round_down(limits.max_speed_m_s / self.point),
+            );
+            findings.push(Finding::impossible(RATE, self.rate, fix));
         }
         // The speed of the centre of mass, and the lateral acceleration as the limit is
         // defined: v² tan δ/L.
@@ -484,17 +476,14 @@ impl SteadyCircle {
         let lateral = (self.rate * centre).powi(2) / rear;
         if lateral > limits.max_lateral_acceleration_m_s2 {
             let most = (limits.max_lateral_acceleration_m_s2 * rear).sqrt() / centre;
-            findings.push(Finding::impossible(
-                "reference.angular_velocity_rad_s",
-                self.rate,
-                format!(
-                    "the circle takes {lateral:.2} m/s2 of lateral acceleration; \
-                     limits.max_lateral_acceleration_m_s2 is {}: lower the angular velocity to \
-                     {:.2} or less",
-                    limits.max_lateral_acceleration_m_s2,
-                    round_down(most),
-                ),
-            ));
+            let fix = format!(
+                "the circle takes {lateral:.2} m/s2 of lateral acceleration; \
+                 limits.max_lateral_acceleration_m_s2 is {}: lower the angular velocity to \
+                 {:.2} or less",
+                limits.max_lateral_acceleration_m_s2,
+                round_down(most),
+            );
+            findings.push(Finding::impossible(RATE, self.rate, fix));
         }
     }
 }

@@ -15,7 +15,7 @@ use core::{
 
 use drive::{Car, Ended, Governed, Saturated, SteadyCircle};
 use singletrack_control::{
-    GovernorConfig, Position, Reference, VehicleParameters, Velocity, direction, wrap,
+    GovernorConfig, Position, Reference, VehicleParameters, Velocity, direction, words, wrap,
 };
 use singletrack_pilot::{Fence, PilotConfig};
 
@@ -44,22 +44,13 @@ const FIRST_METRE_S: f64 = 10.0;
 /// A governed reference that is nearer to its path than this, in m, counts as on it.
 const BESIDE_M: f64 = 0.01;
 
-/// Whether the car can drive in spite of a finding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Severity {
-    /// It can drive; the value should be looked at.
-    Warning,
-    /// It can't do what is asked.
-    Impossible,
-}
-
-impl Severity {
-    /// The word before a finding.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Warning => "warning",
-            Self::Impossible => "impossible",
-        }
+words! {
+    /// Whether the car can drive in spite of a finding.
+    pub enum Severity {
+        /// It can drive; the value should be looked at.
+        Warning = "warning",
+        /// It can't do what is asked.
+        Impossible = "impossible",
     }
 }
 
@@ -252,20 +243,17 @@ fn judge_untuned(
 /// Values that were left as they are in the example file.
 fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
     if config.motion_capture.server == EXAMPLE_SERVER {
-        findings.push(Finding::warning(
-            "motion_capture.server",
-            config.motion_capture.server,
-            "this is the example's address; give that of the computer that runs the motion capture",
-        ));
+        let (key, value) = ("motion_capture.server", config.motion_capture.server);
+        let fix =
+            "this is the example's address; give that of the computer that runs the motion capture";
+        findings.push(Finding::warning(key, value, fix));
     }
     warn_of_left_out(&config.vehicle, findings);
     if is_example("fence", &toml::Value::try_from(&config.fence).ok()) {
-        findings.push(Finding::warning(
-            "fence.braking_m_s2",
-            config.fence.braking_m_s2,
-            "this is the example's; let your car roll out and measure it: the fence and the watch \
-             of every stop rest on it",
-        ));
+        let (key, value) = ("fence.braking_m_s2", config.fence.braking_m_s2);
+        let fix = "this is the example's; let your car roll out and measure it: the fence and the \
+                   watch of every stop rest on it";
+        findings.push(Finding::warning(key, value, fix));
     }
     let board = toml::Value::try_from(config.board).ok();
     for (key, fix) in [
@@ -299,22 +287,18 @@ fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
 /// The whole car, or what follows from its axles because it is left out.
 fn warn_of_left_out(vehicle: &VehicleParameters, findings: &mut Vec<Finding>) {
     if *vehicle == VehicleParameters::paper() {
-        findings.push(Finding::warning(
-            "vehicle",
-            "the paper's car",
-            "the section is left out; give front_axle_distance_m and rear_axle_distance_m of your car",
-        ));
+        let fix = "the section is left out; give front_axle_distance_m and rear_axle_distance_m of \
+                   your car";
+        findings.push(Finding::warning("vehicle", "the paper's car", fix));
         return;
     }
     let scaled = scaled_paper(vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m);
     if vehicle.mass_kg == scaled.mass_kg {
-        findings.push(Finding::warning(
-            "vehicle.mass_kg",
-            format_args!("{:.2}", vehicle.mass_kg),
-            "left out, and scaled from the paper's car to this wheelbase, as are inertia and tyres that \
-             are left out; the law needs only the axles, but weigh the car and identify its tyres \
-             before you drive near the limits",
-        ));
+        let mass_kg = format!("{:.2}", vehicle.mass_kg);
+        let fix = "left out, and scaled from the paper's car to this wheelbase, as are inertia and \
+                   tyres that are left out; the law needs only the axles, but weigh the car and \
+                   identify its tyres before you drive near the limits";
+        findings.push(Finding::warning("vehicle.mass_kg", mass_kg, fix));
     }
 }
 
@@ -367,12 +351,10 @@ fn judge_governed(
                 .iter()
                 .map(|at| [at.x, at.y])
                 .collect();
-            findings.push(Finding::impossible(
-                "fence.corners_m",
-                format_args!("{corners:?}"),
-                "the reference leads out of it, and governed it waits there for ever; widen the \
-                 fence, or give a reference that stays inside",
-            ));
+            let corners = format!("{corners:?}");
+            let fix = "the reference leads out of it, and governed it waits there for ever; widen \
+                       the fence, or give a reference that stays inside";
+            findings.push(Finding::impossible("fence.corners_m", corners, fix));
             return Some(governed);
         }
         let (severity, fix) = if ends {
@@ -489,11 +471,11 @@ fn judge_fence(
         return;
     }
     if judgement.start.is_some() {
-        judgement.findings.push(Finding::warning(
-            "fence.corners_m",
-            format_args!("less than {RESERVE_M} m from the car's path"),
-            "noise and lag of a real car take it out; widen the fence or choose a smaller reference",
-        ));
+        let value = format!("less than {RESERVE_M} m from the car's path");
+        let fix = "noise and lag of a real car take it out; widen the fence or choose a smaller \
+                   reference";
+        let finding = Finding::warning("fence.corners_m", value, fix);
+        judgement.findings.push(finding);
         return;
     }
     if let Some(finding) = too_large(config, pilot) {
@@ -570,15 +552,12 @@ fn too_large(config: &Config, pilot: &PilotConfig) -> Option<Finding> {
     // Where no circle fits, the fence is too small.
     let most = circle.largest(config, room)?;
     (centre_of_mass > room).then(|| {
-        Finding::impossible(
-            "reference.radius_m",
-            radius_m,
-            format!(
-                "the centre of mass drives a circle of {centre_of_mass:.2} m, and fence.corners_m \
-                 leaves {room:.2} m around ({x}, {y}) m within fence.margin_m = {margin}; give \
-                 {most:.2} or less, move reference.centre_m, or widen the fence"
-            ),
-        )
+        let fix = format!(
+            "the centre of mass drives a circle of {centre_of_mass:.2} m, and fence.corners_m \
+             leaves {room:.2} m around ({x}, {y}) m within fence.margin_m = {margin}; give \
+             {most:.2} or less, move reference.centre_m, or widen the fence"
+        );
+        Finding::impossible("reference.radius_m", radius_m, fix)
     })
 }
 

@@ -25,83 +25,64 @@ pub fn warn_of_unusual(config: &Config, findings: &mut Vec<Finding>) {
     let grip = config.vehicle.friction * GRAVITY;
     let braking = config.fence.braking_m_s2;
     if braking > grip {
-        findings.push(Finding::impossible(
-            "fence.braking_m_s2",
-            braking,
-            format!(
-                "no car brakes harder than its tyres hold, {grip:.2} m/s2 (vehicle.friction times \
-                 gravity); measure how yours brakes, or correct vehicle.friction"
-            ),
-        ));
+        let fix = format!(
+            "no car brakes harder than its tyres hold, {grip:.2} m/s2 (vehicle.friction times \
+             gravity); measure how yours brakes, or correct vehicle.friction"
+        );
+        findings.push(Finding::impossible("fence.braking_m_s2", braking, fix));
     }
     let mut warn = |key, value: String, fix: String| {
         findings.push(Finding::warning(key, value, fix));
     };
     let [width, depth] = extent(&config.fence.corners_m);
     if width.max(depth) > ROOM_M {
-        warn(
-            "fence.corners_m",
-            format!("{width:.0} m by {depth:.0} m"),
-            "no room is so large: the corners are in m, not in mm; or, if there is no fence, nothing \
-             keeps the car in"
-                .to_owned(),
-        );
+        let value = format!("{width:.0} m by {depth:.0} m");
+        let fix = "no room is so large: the corners are in m, not in mm; or, if there is no fence, \
+                   nothing keeps the car in";
+        warn("fence.corners_m", value, fix.to_owned());
     }
     let speed = config.limits.max_speed_m_s;
     let stop_m = 0.5 * speed * speed / config.fence.braking_m_s2;
     if stop_m > width.min(depth) {
-        warn(
-            "limits.max_speed_m_s",
-            speed.to_string(),
-            format!(
-                "a stop from there takes {stop_m:.1} m (fence.braking_m_s2), and the fence is {:.1} m \
-                 wide; lower it to what the room allows",
-                width.min(depth)
-            ),
+        let fix = format!(
+            "a stop from there takes {stop_m:.1} m (fence.braking_m_s2), and the fence is {:.1} m \
+             wide; lower it to what the room allows",
+            width.min(depth)
         );
+        warn("limits.max_speed_m_s", speed.to_string(), fix);
     }
     let deceleration = config.control.stop_deceleration_m_s2;
     if deceleration > grip {
-        warn(
-            "control.stop_deceleration_m_s2",
-            deceleration.to_string(),
-            format!(
-                "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity): a stop that is commanded \
-                 faster slides"
-            ),
+        let key = "control.stop_deceleration_m_s2";
+        let fix = format!(
+            "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity): a stop that is \
+             commanded faster slides"
         );
+        warn(key, deceleration.to_string(), fix);
     }
     let distance = config.law.point_distance_m;
     if config.law.kind == LawKind::FrontPoint && distance < NEAR_S * speed {
-        warn(
-            "law.point_distance_m",
-            distance.to_string(),
-            format!(
-                "at limits.max_speed_m_s the car drives so far in {:.0} ms, in which no servo steers; \
-                 `singletrack stability least-p` computes the least",
-                1e3 * distance / speed
-            ),
+        let fix = format!(
+            "at limits.max_speed_m_s the car drives so far in {:.0} ms, in which no servo steers; \
+             `singletrack stability least-p` computes the least",
+            1e3 * distance / speed
         );
+        warn("law.point_distance_m", distance.to_string(), fix);
     }
     if let OuterLoopSection::Proportional { gain_per_s, .. } = &config.outer_loop
         && gain_per_s.iter().any(|gain| *gain > HIGH_GAIN)
     {
-        warn(
-            "outer_loop.gain_per_s",
-            format!("{gain_per_s:?}"),
-            format!(
-                "an error is to vanish faster than servo, motor and cameras act; beyond about \
-                 {HIGH_GAIN:.0} the car swings"
-            ),
+        let fix = format!(
+            "an error is to vanish faster than servo, motor and cameras act; beyond about \
+             {HIGH_GAIN:.0} the car swings"
         );
+        warn("outer_loop.gain_per_s", format!("{gain_per_s:?}"), fix);
     }
     let stamps = config.motion_capture.timing.stamp_offset_ms;
     if stamps.abs() > STAMPS_MS {
-        warn(
-            "motion_capture.timing.stamp_offset_ms",
-            stamps.to_string(),
-            "no cameras stamp so wrongly: `singletrack doctor` measures it".to_owned(),
-        );
+        let value = stamps.to_string();
+        let fix = "no cameras stamp so wrongly: `singletrack doctor` measures it".to_owned();
+        warn("motion_capture.timing.stamp_offset_ms", value, fix);
     }
     for section in ["watch", "motion_capture.pose"] {
         warn_of_wide(section, config, &mut warn);
@@ -133,11 +114,8 @@ fn warn_of_wide(
             && value > WIDE * default
         {
             let key = key.name;
-            warn(
-                name,
-                format!("{key} = {value}"),
-                format!("the default is {default}; so wide a limit finds hardly any fault"),
-            );
+            let fix = format!("the default is {default}; so wide a limit finds hardly any fault");
+            warn(name, format!("{key} = {value}"), fix);
         }
     }
 }

@@ -341,7 +341,7 @@ impl StopWatch {
             None
         };
         let stood = since.is_some_and(|since| now.seconds_since(since) >= STANDS);
-        let late = elapsed > REACTION + LONGER + run.roll_out.from() / least;
+        let late = elapsed > REACTION + LONGER + run.roll_out.from / least;
         if stood || late || verdict.disobeyed {
             let ended = *run;
             self.run = None;
@@ -352,10 +352,10 @@ impl StopWatch {
             let measured = [Some(ended.roll_out), ended.free, unbraked]
                 .into_iter()
                 .flatten()
-                .filter(|roll_out| ended.measures && roll_out.from() >= MEASURED_FROM)
+                .filter(|roll_out| ended.measures && roll_out.from >= MEASURED_FROM)
                 .map(|roll_out| {
                     let deceleration = ended.share * roll_out.deceleration(left);
-                    let error = 1.0 + SPEED_ERROR / roll_out.from();
+                    let error = 1.0 + SPEED_ERROR / roll_out.from;
                     Measured {
                         deceleration,
                         most: deceleration * error * error,

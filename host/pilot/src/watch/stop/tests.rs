@@ -392,7 +392,7 @@ fn a_car_faster_than_the_ramp_rolls_free_from_then_on() {
         let mut watch = StopWatch::default();
         watch.begin(at(0), &all(1.0), 1.0, 1.0);
         watch.tick(at(300), &all(speed), &LIMITS);
-        let from = |watch: &StopWatch| watch.run.and_then(|run| run.free).map(|free| free.from());
+        let from = |watch: &StopWatch| watch.run.and_then(|run| run.free).map(|free| free.from);
         let expected = free.then_some(speed);
         assert_eq!(from(&watch), expected, "{speed}");
         if free {

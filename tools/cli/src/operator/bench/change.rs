@@ -1,6 +1,6 @@
 //! Changes of the configuration's file, and of what is in force.
 
-use std::{io, thread, time::Instant};
+use std::{thread, time::Instant};
 
 use jiff::Timestamp;
 use serde_json::json;
@@ -45,10 +45,8 @@ impl LiveBench {
         let mut edit = Edit::read(&self.path)?;
         if edit.text() != self.known.text() {
             // What was measured may not hold with what somebody else has changed.
-            return Err(EditError::File {
-                path: self.path.clone(),
-                source: io::Error::other("it was changed by somebody else meanwhile"),
-            });
+            let why = "it was changed by somebody else meanwhile";
+            return Err(EditError::of(&self.path)(why));
         }
         for (key, value) in values {
             edit.set(key, value)?;
