@@ -160,8 +160,8 @@ fn children_ticks(stat: &str) -> Option<u64> {
 }
 
 /// Processor time of `cargo demo` from nothing, as a multiple of that of the sample. Measured in one
-/// session on one machine: 189.8 s, and 0.95 to 0.99 s.
-const SAMPLES_IN_A_DEMO: f64 = 198.0;
+/// session on one machine: 213.2 s, and 0.98 s.
+const SAMPLES_IN_A_DEMO: f64 = 217.0;
 
 /// Processor time of `cargo demo` from nothing on this machine, estimated by compiling a sample.
 pub(crate) fn demo_s() -> Result<f64> {

@@ -89,14 +89,6 @@ pub(crate) fn duration_within(text: &str, least_s: f64, most_s: f64) -> Result<D
     }
 }
 
-/// A number that is neither infinite nor NaN.
-pub(crate) fn finite(text: &str) -> Result<f64, String> {
-    match text.trim().parse::<f64>() {
-        Ok(number) if number.is_finite() => Ok(number),
-        _ => Err("write a finite number, such as 0.5".to_owned()),
-    }
-}
-
 /// Whether it is an option that must have a value which is no name: not of a file, of a thing, or
 /// of one of a few.
 pub fn takes_number(argument: &Arg) -> bool {

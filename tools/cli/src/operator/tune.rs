@@ -5,9 +5,9 @@ use std::error::Error;
 use clap::Args;
 use singletrack_api::{Gain, Request, Tune, Tuning, ask};
 
-use crate::{
-    arguments::finite,
-    operator::control::{self, ControlArgs},
+use crate::operator::{
+    control::{self, ControlArgs},
+    finite,
 };
 
 /// The new values.
