@@ -35,11 +35,12 @@ const CHECKED: &str = "--package singletrackd --package singletrack-commissionin
 const TRAJECTORY: &str = "--package singletrack-scenario --bin trajectory --no-default-features \
                           --features singletrack-scenario/files";
 
-/// The packages that compute, and those with an optimisation of their own that hardly do.
+/// The packages that compute, and those with an optimisation of their own that hardly do; the first
+/// three of these do not even matter in a browser.
 const COMPUTING: [&str; 7] = [
     "board", "control", "link", "mocap", "pilot", "protocol", "sim",
 ];
-const OTHERS: [&str; 5] = ["analysis", "api", "core", "record", "scenario"];
+pub(crate) const OTHERS: [&str; 5] = ["analysis", "api", "record", "core", "scenario"];
 
 /// One scenario per plant.
 pub(crate) const SCENARIOS: [&str; 3] = [
@@ -71,7 +72,7 @@ pub(crate) fn main(arguments: &[String]) -> Result {
 pub(crate) fn verify(packages: &Packages) -> Result {
     // The profile is that of the browser's module, which has the same helpers of the compiler.
     let (mut cargo, folder) = ARMHF.cargo("build", "web")?;
-    quickly(&mut cargo, "web");
+    quickly(&mut cargo, "web", &OTHERS);
     for setting in [
         "panic=\"unwind\"",
         "opt-level=0",
@@ -84,10 +85,13 @@ pub(crate) fn verify(packages: &Packages) -> Result {
     compare_emulated(packages, (cargo, folder), CHECKED)
 }
 
-/// Lets cargo optimise what computes, as in a release, and not the packages that else have an
-/// optimisation of their own.
-pub(crate) fn quickly<'a>(cargo: &'a mut Command, profile: &str) -> &'a mut Command {
-    for (names, level) in [(&COMPUTING[..], 3), (&OTHERS, 0)] {
+/// Lets cargo optimise what computes, as in a release, and not some of [`OTHERS`].
+pub(crate) fn quickly<'a>(
+    cargo: &'a mut Command,
+    profile: &str,
+    plain: &[&str],
+) -> &'a mut Command {
+    for (names, level) in [(&COMPUTING[..], 3), (plain, 0)] {
         for name in names {
             let setting = format!("profile.{profile}.package.singletrack-{name}.opt-level={level}");
             cargo.args(["--config", &setting]);
@@ -121,7 +125,7 @@ fn compare_emulated(packages: &Packages, cargo: (Command, PathBuf), options: &st
 /// else is of the tested build; `cargo release` compares the whole program.
 pub(crate) fn compare_optimised(packages: &Packages) -> Result {
     let mut build = cargo("build --quiet");
-    quickly(&mut build, "dev").args(TRAJECTORY.split_whitespace());
+    quickly(&mut build, "dev", &OTHERS).args(TRAJECTORY.split_whitespace());
     for package in COMPUTING {
         let setting = format!("profile.dev.package.singletrack-{package}.debug-assertions=false");
         build.args(["--config", &setting]);

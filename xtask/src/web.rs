@@ -140,7 +140,7 @@ pub(crate) fn copy(from: &Path, to: &Path) -> Result {
 /// Checks that the laboratory has the bits of the tested build, in Node and in Chromium, and the bound
 /// of its speed.
 pub(crate) fn verify(packages: &Packages) -> Result {
-    let site = build(|cargo| odroid::quickly(cargo, "web"))?;
+    let site = build(|cargo| odroid::quickly(cargo, "web", &odroid::OTHERS[..3]))?;
     let node = |check: &str| {
         let mut node = command("node");
         node.current_dir(root())
