@@ -68,7 +68,9 @@ fn environment(name: &str, source: &Path, modules: &str) -> Result<PathBuf> {
 /// pip, to install what its further arguments say.
 fn pip(python: &Path) -> Command {
     let mut pip = Command::new(python);
-    pip.args(["-m", "pip", "install", "--disable-pip-version-check"]);
+    // What is imported is compiled then.
+    let quickly = ["--no-compile", "--disable-pip-version-check"];
+    pip.args(["-m", "pip", "install"]).args(quickly);
     pip
 }
 

@@ -59,3 +59,11 @@ pub(crate) fn print(text: &str) -> Result<(), Box<dyn Error>> {
     let printed = output::print(&format!("{text}\n"));
     printed.map_err(|error| format!("can't write to standard output: {error}").into())
 }
+
+/// A number that is neither infinite nor NaN.
+pub(crate) fn finite(text: &str) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        _ => Err("write a finite number, such as 0.5".to_owned()),
+    }
+}

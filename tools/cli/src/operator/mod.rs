@@ -109,11 +109,3 @@ pub fn run(command: &OperatorCommand) -> Result<ExitCode, Box<dyn Error>> {
     }
     Ok(ExitCode::SUCCESS)
 }
-
-/// A number that is neither infinite nor NaN.
-pub(crate) fn finite(text: &str) -> Result<f64, String> {
-    match text.trim().parse::<f64>() {
-        Ok(number) if number.is_finite() => Ok(number),
-        _ => Err("write a finite number, such as 0.5".to_owned()),
-    }
-}

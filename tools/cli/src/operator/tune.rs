@@ -5,10 +5,7 @@ use std::error::Error;
 use clap::Args;
 use singletrack_api::{Gain, Request, Tune, Tuning, ask};
 
-use crate::operator::{
-    control::{self, ControlArgs},
-    finite,
-};
+use crate::operator::control::{self, ControlArgs, finite};
 
 /// The new values.
 #[derive(Clone, Debug, Args)]

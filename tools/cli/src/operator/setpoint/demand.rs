@@ -5,7 +5,7 @@ use std::{path::PathBuf, time::Duration};
 use clap::{ArgGroup, Args};
 use singletrack_api::Setpoint;
 
-use crate::{arguments::parse_duration, operator::finite};
+use crate::{arguments::parse_duration, operator::control::finite};
 
 /// What the car should do; without any of these, the set-points of standard input.
 #[derive(Clone, Debug, Default, Args)]
