@@ -142,7 +142,7 @@ words! {
     /// The verdict of a finding.
     #[derive(PartialOrd, Ord)]
     pub enum Verdict: serde {
-        /// As it should be.
+        /// What was checked is as it should be.
         Good = "good",
         /// Not checked: the operator skipped it, or the car has no such part.
         Skipped = "skipped",

@@ -153,14 +153,14 @@ fn network(error: impl core::fmt::Display) -> String {
     format!("can't take part in the network of ROS: {error}")
 }
 
-/// Of a publisher that never waits: of a reliable subscriber that is too slow it keeps the newest
+/// The quality of service of a publisher that never waits: of a reliable subscriber that is too slow it keeps the newest
 /// messages, and drops the oldest.
 pub(crate) fn prompt() -> QosProfile {
     let when_full = WhenFull::Fail;
     qos(Reliability::Reliable { when_full }, KEPT)
 }
 
-/// Of a publisher whose last message later subscribers get as well.
+/// The quality of service of a publisher whose last message later subscribers get as well.
 pub(crate) fn latched() -> QosProfile {
     let when_full = WhenFull::DEFAULT;
     QosProfile {

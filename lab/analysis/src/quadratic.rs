@@ -1,4 +1,5 @@
-//! Quadratic programs, solved by the interior-point solver Clarabel.
+//! Quadratic programs, solved by the interior-point solver Clarabel. They stand here and not where they
+//! are used: this crate is optimised in tests, and the solver is compiled with its caller.
 
 pub use clarabel::algebra::CscMatrix;
 use clarabel::solver::{

@@ -92,7 +92,7 @@ fn paced(
     })
 }
 
-/// The same set-point again and again, for a time or for ever.
+/// One set-point again and again, for a time or for ever.
 fn repeat(setpoint: Setpoint, lasts: Option<Duration>) -> impl FnMut() -> Option<Setpoint> {
     let mut begun = None;
     move || {
@@ -182,7 +182,7 @@ pub fn run(args: &SetpointArgs) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Of the set-points that are waiting, the last.
+/// The last of the set-points that are waiting.
 fn newest(
     mut waiting: impl Iterator<Item = Result<Setpoint, String>>,
 ) -> Result<Option<Setpoint>, String> {
