@@ -177,7 +177,7 @@ fn book(_: &Packages) -> Result {
     let mut mdbook = Command::new(tools.join("bin/mdbook"));
     mdbook.args(["build", "docs", "--dest-dir"]).arg(&site);
     check(mdbook.current_dir(root()))?;
-    web::copy(&web::build_small()?, &site.join("laboratory"))?;
+    web::copy(&web::build_published()?, &site.join("laboratory"))?;
     let archive = folder()?.join(format!("singletrack-book-{VERSION}.tar.gz"));
     let mut tar = command("tar --create --gzip --file");
     silent(tar.arg(archive).arg("--directory").arg(&site).arg("."))
