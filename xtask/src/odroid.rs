@@ -73,11 +73,7 @@ pub(crate) fn verify(packages: &Packages) -> Result {
     // The profile is that of the browser's module, which has the same helpers of the compiler.
     let (mut cargo, folder) = ARMHF.cargo("build", "web")?;
     quickly(&mut cargo, "web", &OTHERS);
-    for setting in [
-        "panic=\"unwind\"",
-        "opt-level=0",
-        "package.\"*\".opt-level=0",
-    ] {
+    for setting in ["panic=\"unwind\"", "opt-level=0"] {
         cargo.args(["--config", &format!("profile.web.{setting}")]);
     }
     // This combination of features is linted only here.
@@ -124,8 +120,9 @@ fn compare_emulated(packages: &Packages, cargo: (Command, PathBuf), options: &st
 /// Checks that what computes, optimised as in a release, computes the same bits as in the tests. All
 /// else is of the tested build; `cargo release` compares the whole program.
 pub(crate) fn compare_optimised(packages: &Packages) -> Result {
-    let mut build = cargo("build --quiet");
-    quickly(&mut build, "dev", &OTHERS).args(TRAJECTORY.split_whitespace());
+    // The libraries are those of the tests, with the features that some test asks for.
+    let mut build = cargo("build --quiet --bin trajectory --test book");
+    quickly(&mut build, "dev", &OTHERS).args(packages.options());
     for package in COMPUTING {
         let setting = format!("profile.dev.package.singletrack-{package}.debug-assertions=false");
         build.args(["--config", &setting]);

@@ -66,7 +66,7 @@ impl Packages {
     }
 
     /// Cargo's options that name the packages.
-    fn options(&self) -> Vec<&'static str> {
+    pub(crate) fn options(&self) -> Vec<&'static str> {
         if *self == Self::Default {
             return Vec::new();
         }
@@ -224,8 +224,17 @@ pub(crate) fn check_published() -> Result {
     // The working tree may hold changes. Offline, the versions are those of the workspace, and nothing
     // waits for the registry: `check_alone` has downloaded what they need.
     let mut package = cargo("package --quiet --offline --allow-dirty");
-    // A packed package is a workspace of its own. Its dependencies are built once for all of them, and
-    // kept.
+    // A packed package is a workspace of its own, which has the profile of this one here. Dependencies
+    // are built once for all of them, and kept; what runs while compiling is that of `check_alone`.
+    for setting in [
+        "codegen-units=2",
+        "incremental=false",
+        "build-override.codegen-units=2",
+        "build-override.debug=false",
+        "package.\"*\".debug=false",
+    ] {
+        package.args(["--config", &format!("profile.dev.{setting}")]);
+    }
     let folder = target::folder()?;
     check(package.args(packages).env("CARGO_TARGET_DIR", folder))
 }

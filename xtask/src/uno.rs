@@ -10,7 +10,7 @@ use std::{
 };
 
 use crate::{
-    gates, options, prerequisites,
+    gates, once, options, prerequisites,
     process::{Result, check, command, failure, require, text},
     target,
     toolchain::{AVR, AVR_CLIPPY, Compiler},
@@ -123,16 +123,12 @@ pub(crate) fn build(car_id: u16, build_simulator: impl FnOnce() -> Result) -> Re
     Ok(folder)
 }
 
-/// Checks that the image builds without warnings of compiler and clippy.
+/// Checks that the image builds without warnings of compiler, clippy and rustdoc.
 pub(crate) fn lint() -> Result {
-    let compiler = Compiler::find(AVR_CLIPPY)?;
-    let target = target::folder()?;
+    let mut build = uno_cargo(&Compiler::find(AVR_CLIPPY)?, "build", &target::folder()?);
+    once::wrap(&mut build)?;
     // RUSTFLAGS would replace the image's own flags.
-    let deny = ["-Zwarnings", "--config", "build.warnings=\"deny\""];
-    check(uno_cargo(&compiler, "build", &target).args(deny))?;
-    let mut clippy = uno_cargo(&compiler, "check", &target);
-    clippy.env("RUSTC_WORKSPACE_WRAPPER", compiler.clippy());
-    check(clippy.args(deny))
+    check(build.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]))
 }
 
 /// The image's crate, which is not a member of the workspace.
