@@ -1,7 +1,14 @@
 //! What a test measures, for the table at the end, and the failures of a test; the load of the
 //! processors.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::{
+    sync::{
+        Arc, Mutex, PoisonError,
+        mpsc::{self, RecvTimeoutError, Sender},
+    },
+    thread::{self, JoinHandle},
+    time::Duration,
+};
 
 /// Measurements with their limits, shared by all tests.
 #[derive(Clone, Debug, Default)]
@@ -141,14 +148,14 @@ macro_rules! ensure {
 
 /// The processors' time since the start of the system, in the kernel's unit.
 #[derive(Clone, Copy, Debug)]
-pub struct Processors {
+struct Processors {
     free: u64,
     all: u64,
 }
 
 impl Processors {
     /// The time now; nothing where the kernel does not report it.
-    pub fn now() -> Option<Self> {
+    fn now() -> Option<Self> {
         let stat = std::fs::read_to_string("/proc/stat").ok()?;
         let times = stat.lines().next()?.strip_prefix("cpu ")?;
         let times: Vec<u64> = times
@@ -164,9 +171,49 @@ impl Processors {
     }
 
     /// Share of the processors' time that was free since then, 0 to 1.
-    pub fn free_until_now(self) -> Option<f64> {
+    fn free_until_now(self) -> Option<f64> {
         let later = Self::now()?;
         let all = later.all.checked_sub(self.all).filter(|&all| all > 0)?;
         Some(later.free.saturating_sub(self.free) as f64 / all as f64)
+    }
+}
+
+/// Watches the share of the processors' time that is free, until it is asked for.
+pub struct FreeTime {
+    begin: Option<Processors>,
+    stop: Sender<()>,
+    least: JoinHandle<f64>,
+}
+
+impl FreeTime {
+    /// A program that is held up for so long has missed every deadline of a drive.
+    const WINDOW: Duration = Duration::from_secs(2);
+
+    /// Begins to watch.
+    pub fn watch() -> Self {
+        let (stop, stopped) = mpsc::channel();
+        let least = thread::spawn(move || {
+            let mut least = f64::INFINITY;
+            let mut begin = Processors::now();
+            while stopped.recv_timeout(Self::WINDOW) == Err(RecvTimeoutError::Timeout) {
+                let free = begin.and_then(Processors::free_until_now);
+                least = least.min(free.unwrap_or(f64::INFINITY));
+                begin = Processors::now();
+            }
+            least
+        });
+        Self {
+            begin: Processors::now(),
+            stop,
+            least,
+        }
+    }
+
+    /// The least share, 0 to 1, of all the time and of each window; nothing where the kernel does not
+    /// report it.
+    pub fn least(self) -> Option<f64> {
+        let whole = self.begin?.free_until_now()?;
+        drop(self.stop);
+        Some(self.least.join().ok()?.min(whole))
     }
 }
