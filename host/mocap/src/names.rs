@@ -31,12 +31,6 @@ impl Names<'_> {
     }
 }
 
-impl<'a> From<ModelDefinitions<'a>> for Names<'a> {
-    fn from(definitions: ModelDefinitions<'a>) -> Self {
-        Self::Definitions(definitions)
-    }
-}
-
 /// What the model definitions say of a rigid body's name.
 ///
 /// This enum is exhaustive: every user must decide what each case means to it.
@@ -76,7 +70,6 @@ pub struct NameText<'a>(pub &'a [u8]);
 
 impl NameText<'_> {
     /// Whether all of it is text.
-    #[must_use]
     pub const fn is_utf8(&self) -> bool {
         core::str::from_utf8(self.0).is_ok()
     }
@@ -134,7 +127,6 @@ impl BodyNames {
     }
 
     /// The quoted name of the body with this streaming id; none if it is not listed.
-    #[must_use]
     pub fn name(&self, id: i32) -> Option<&str> {
         let index = self.ids.iter().position(|(known, _)| *known == id)?;
         let (_, end) = self.ids.get(index)?;
@@ -146,14 +138,12 @@ impl BodyNames {
     }
 
     /// The streaming id of the body with this quoted name, if it is listed.
-    #[must_use]
     pub fn id(&self, quoted: &str) -> Option<i32> {
         let ids = self.ids.iter().map(|(id, _)| *id);
         ids.into_iter().find(|id| self.name(*id) == Some(quoted))
     }
 
     /// Whether the server has no rigid body.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.listed.is_empty() && self.omitted == 0
     }
@@ -171,7 +161,6 @@ impl fmt::Display for BodyNames {
 
 impl Binding {
     /// Looks the name up among those of the server.
-    #[must_use]
     pub fn resolve(bodies: &Names<'_>, name: &str) -> Self {
         let (mut first, mut count) = (0, 0);
         bodies.for_each(&mut |id, other| {
@@ -190,7 +179,6 @@ impl Binding {
     }
 
     /// The streaming id, if exactly one body has the name.
-    #[must_use]
     pub const fn id(self) -> Option<i32> {
         match self {
             Self::Bound { id } => Some(id),
@@ -285,7 +273,6 @@ pub struct BodyList<'a> {
 
 impl<'a> BodyList<'a> {
     /// The names in this XML; none if it has no section of bodies.
-    #[must_use]
     pub fn new(xml: &'a [u8]) -> Self {
         let (_, section) = split_once(xml, b"<The_6D>").unwrap_or_default();
         let rest = split_once(section, b"</The_6D>").map_or(section, |(section, _)| section);
