@@ -1,6 +1,9 @@
 //! The names that the servers of each protocol give bodies, and the streaming id of a body's name.
 
-use core::{fmt, fmt::Write as _};
+use core::{
+    fmt::{self, Write as _},
+    ops::Range,
+};
 
 use crate::codec::ModelDefinitions;
 
@@ -57,8 +60,8 @@ pub enum Binding {
 pub struct BodyNames {
     /// The first names, each quoted, after commas.
     listed: heapless::String<240>,
-    /// The streaming id of each listed name, and where the name ends in `listed`.
-    ids: heapless::Vec<(i32, u8), 60>,
+    /// The streaming id of each listed name, and where the name is in `listed`.
+    ids: heapless::Vec<(i32, Range<usize>), 60>,
     /// How many are not listed for want of room.
     omitted: usize,
 }
@@ -96,9 +99,6 @@ impl fmt::Display for NameText<'_> {
     }
 }
 
-/// Between two names in the list.
-const SEPARATOR: &str = ", ";
-
 impl BodyNames {
     pub(crate) fn of(bodies: &Names<'_>) -> Self {
         let mut names = Self::default();
@@ -107,20 +107,16 @@ impl BodyNames {
     }
 
     fn list(&mut self, id: i32, name: &[u8]) {
-        let separator = if self.listed.is_empty() {
-            ""
-        } else {
-            SEPARATOR
-        };
+        let separator = if self.listed.is_empty() { "" } else { ", " };
         let room = self.listed.capacity() - self.listed.len();
         let mut text = heapless::String::<320>::new();
         let fits = write!(text, "{separator}{:?}", NameText(name)).is_ok();
         let is_room = fits && text.len() <= room && !self.ids.is_full();
-        let end = u8::try_from(self.listed.len() + text.len());
-        if let (0, true, Ok(end)) = (self.omitted, is_room, end) {
+        if self.omitted == 0 && is_room {
+            let begin = self.listed.len() + separator.len();
             // Both have room: see above.
             let _ = self.listed.push_str(&text);
-            let _ = self.ids.push((id, end));
+            let _ = self.ids.push((id, begin..self.listed.len()));
         } else {
             self.omitted += 1;
         }
@@ -128,13 +124,8 @@ impl BodyNames {
 
     /// The quoted name of the body with this streaming id; none if it is not listed.
     pub fn name(&self, id: i32) -> Option<&str> {
-        let index = self.ids.iter().position(|(known, _)| *known == id)?;
-        let (_, end) = self.ids.get(index)?;
-        let begin = match index.checked_sub(1).and_then(|last| self.ids.get(last)) {
-            Some((_, end)) => usize::from(*end) + SEPARATOR.len(),
-            None => 0,
-        };
-        self.listed.get(begin..usize::from(*end))
+        let (_, place) = self.ids.iter().find(|(known, _)| *known == id)?;
+        self.listed.get(place.clone())
     }
 
     /// The streaming id of the body with this quoted name, if it is listed.
