@@ -169,14 +169,14 @@ impl<'a> Writer<'a> {
         if let Some(error) = self.error {
             return Err(error);
         }
-        let too_long = EncodeError::TooLong {
-            len: self.len,
-            max: MAX_DATAGRAM_LEN,
-        };
         if self.len > MAX_DATAGRAM_LEN {
-            return Err(too_long);
+            return Err(EncodeError::CountOutOfRange {
+                field: "message",
+                value: self.len,
+            });
         }
-        let payload = u16::try_from(self.len.saturating_sub(HEADER_LEN)).map_err(|_| too_long)?;
+        // No datagram is as long as the number allows.
+        let payload = self.len.saturating_sub(HEADER_LEN) as u16;
         if let Some(slot) = self.out.get_mut(2..4) {
             slot.copy_from_slice(&payload.to_le_bytes());
         }

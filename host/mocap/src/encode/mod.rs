@@ -26,15 +26,7 @@ pub enum EncodeError {
         /// Length of the buffer.
         capacity: usize,
     },
-    /// The message is longer than a datagram can be.
-    #[error("the message is {len} bytes long, a datagram carries {max}")]
-    TooLong {
-        /// Length of the message.
-        len: usize,
-        /// The limit.
-        max: usize,
-    },
-    /// A count or size beyond the range of the wire's `i32`.
+    /// A count or size beyond what the wire or a datagram can carry.
     #[error("{field} is {value}, more than the wire can carry")]
     CountOutOfRange {
         /// The count.
