@@ -135,7 +135,6 @@ impl HandCommand {
     }
 }
 
-/// The line that is this command: it parses as the same one.
 /// What a person sees of the car. Nothing of it is misread.
 ///
 /// Its text is `key value` pairs on one line.

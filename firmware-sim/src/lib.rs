@@ -61,8 +61,7 @@ pub use arguments::Arguments;
 #[cfg(feature = "real-time")]
 pub use board::ImageSize;
 pub use board::{
-    BoardKind, BoardParameters, Installation, ReceivedMessage, SimulatedBoard, UnknownBoard,
-    UnoError,
+    BoardKind, BoardParameters, Installation, ReceivedMessage, SimulatedBoard, UnoError,
 };
 pub use by_hand::{HAND_COMMANDS, HandCommand, Seen, UnknownHandCommand};
 pub use cameras::{
@@ -91,7 +90,7 @@ pub use real_time::{
 };
 pub use scripted::{ScriptedDrive, ScriptedHost};
 pub use singletrack_mocap::UpAxis;
-pub use singletrack_simavr::{BusFault, CYCLES_PER_US, Figures, Hang, Interrupt};
+pub use singletrack_simavr::{BusFault, CYCLES_PER_US, Cost, Figures, Hang};
 #[cfg(feature = "real-time")]
 pub use sockets::{UdpConfig, UdpError};
 pub use truth::{CarTruth, SimulationFileError, TRUTH_KEYS, TruthKey};

@@ -12,7 +12,7 @@ use singletrack_mocap::{
         BitstreamVersion, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
         RigidBodyDefinition, ServerInfo, bitstream_request,
     },
-    encode::{self, Dataset, EncodeError, FrameContent, LabelledMarker, MarkerSet, Sections},
+    encode::{self, Dataset, EncodeError, FrameContent, LabelledMarker, MarkerSet},
 };
 
 use crate::cameras::{CameraFrame, CameraParameters, TICKS_PER_SECOND};
@@ -302,7 +302,7 @@ impl NatNetServer {
             marker_names: &MARKER_NAMES,
         }];
         datasets.extend(cameras.names().map(|(id, name)| {
-            Dataset::rigid_body(RigidBodyDefinition {
+            Dataset::RigidBody(RigidBodyDefinition {
                 name: name.as_bytes(),
                 id,
                 parent_id: -1,
@@ -394,12 +394,9 @@ fn encode_frame(
         version,
         &FrameContent {
             number: frame.number,
+            marker_sets: &[all],
             rigid_bodies: &frame.bodies,
-            sections: Sections {
-                marker_sets: &[all],
-                labelled_markers: &labelled,
-                ..Sections::default()
-            },
+            labelled_markers: &labelled,
             timestamp_s: frame.ticks.mid_exposure as f64 / TICKS_PER_SECOND as f64,
             ticks: frame.ticks,
             latency: (frame.sent_us - frame.exposed_us) as f32 * 1e-6,
@@ -408,7 +405,6 @@ fn encode_frame(
             } else {
                 FrameFlags::default()
             },
-            ..FrameContent::default()
         },
         out,
     )

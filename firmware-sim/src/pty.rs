@@ -14,27 +14,10 @@ use rustix::{
     termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr},
 };
 
-/// Errors while opening a pseudo-terminal.
+/// Why there is no pseudo-terminal, or no link to it.
 #[derive(Debug, thiserror::Error)]
-pub enum PtyError {
-    /// The system provides none.
-    #[error("can't open a pseudo-terminal: {0}")]
-    Open(#[source] io::Error),
-    /// The path of the link is occupied.
-    #[error("can't link {link} to the pseudo-terminal: the path exists and is not a link; remove it or choose another path", link = link.display())]
-    Occupied {
-        /// Path of the link.
-        link: PathBuf,
-    },
-    /// The link can't be created.
-    #[error("can't link {link} to the pseudo-terminal: {source}", link = link.display())]
-    Link {
-        /// Path of the link.
-        link: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-}
+#[error("{0}")]
+pub struct PtyError(String);
 
 /// A pseudo-terminal in place of the board's serial port. Dropping it hangs up.
 ///
@@ -56,10 +39,15 @@ impl Pty {
     ///
     /// Fails if the system provides none, or the link can't be created.
     pub fn open(link: Option<&Path>) -> Result<Self, PtyError> {
-        let (master, host_end, device) =
-            open_raw().map_err(|error| PtyError::Open(error.into()))?;
+        let (master, host_end, device) = open_raw().map_err(|error| {
+            let error = io::Error::from(error);
+            PtyError(format!("can't open a pseudo-terminal: {error}"))
+        })?;
         if let Some(link) = link {
-            replace_link(link, &device)?;
+            replace_link(link, &device).map_err(|error| {
+                let link = link.display();
+                PtyError(format!("can't link {link} to the pseudo-terminal: {error}"))
+            })?;
         }
         Ok(Self {
             master,
@@ -137,27 +125,19 @@ fn open_raw() -> rustix::io::Result<(OwnedFd, OwnedFd, PathBuf)> {
     ))
 }
 
-fn replace_link(link: &Path, device: &Path) -> Result<(), PtyError> {
-    match std::fs::symlink_metadata(link) {
-        Ok(metadata) if !metadata.is_symlink() => {
-            return Err(PtyError::Occupied {
-                link: link.to_owned(),
-            });
-        }
-        _ => {}
+fn replace_link(link: &Path, device: &Path) -> io::Result<()> {
+    if std::fs::symlink_metadata(link).is_ok_and(|metadata| !metadata.is_symlink()) {
+        return Err(io::Error::other(
+            "the path exists and is not a link; remove it or choose another path",
+        ));
     }
-    let error = |source| PtyError::Link {
-        link: link.to_owned(),
-        source,
-    };
     // Created beside and renamed, so that the link always exists.
     let mut temporary = link.as_os_str().to_owned();
     temporary.push(format!(".{}", std::process::id()));
     let temporary = PathBuf::from(temporary);
-    std::os::unix::fs::symlink(device, &temporary).map_err(error)?;
-    std::fs::rename(&temporary, link).map_err(|source| {
+    std::os::unix::fs::symlink(device, &temporary)?;
+    std::fs::rename(&temporary, link).inspect_err(|_| {
         // The first error is the one to report.
         let _ = std::fs::remove_file(&temporary);
-        error(source)
     })
 }

@@ -119,7 +119,7 @@ impl Simulator {
             gain: gain_per_s.map(Velocity::from),
             point_distance: point_distance_m,
         };
-        self.laboratory()?.drive.tune(tuning).map_err(refuse)
+        self.laboratory()?.drive.host().tune(tuning).map_err(refuse)
     }
 
     /// Whether the reference is that of a controller outside.

@@ -290,10 +290,10 @@ impl Board {
         let hangs = match self.hang {
             Some(Hang::Everything) => true,
             // The program leaves a critical section before it hangs.
-            Some(Hang::MainLoop) => before.depth == 0 && before.interrupts_enabled(),
+            Some(Hang::MainLoop) => before.depth == 0 && before.interrupts_enabled,
             Some(Hang::Ticks | Hang::Pulses) | None => false,
         };
-        if hangs || before.asleep() {
+        if hangs || before.asleep {
             self.machine.skip(until);
         } else {
             self.machine.run(until);
@@ -302,11 +302,11 @@ impl Board {
         self.meter.pass(Span {
             from: before.cycle,
             to: status.cycle,
-            was_asleep: before.asleep(),
+            was_asleep: before.asleep,
             entered: (status.entered != 0).then_some((status.entered, status.response)),
             depth: usize::from(status.depth),
             // A hang does not count as a critical section.
-            interrupts_enabled: status.interrupts_enabled() || self.hang.is_some(),
+            interrupts_enabled: status.interrupts_enabled || self.hang.is_some(),
         });
         let devices = self.machine.devices();
         if status.entered != 0 {
@@ -315,7 +315,7 @@ impl Board {
         if let Some(mark) = devices.mark.take() {
             self.meter.mark(mark);
         }
-        if self.hang.is_some() && status.asleep() {
+        if self.hang.is_some() && status.asleep {
             self.machine.wake();
         }
     }
@@ -332,7 +332,7 @@ impl Board {
         let words = self.machine.devices().fatal.take();
         let reason = match words {
             Some(words) => words,
-            None if status.crashed() => "simavr has stopped".to_owned(),
+            None if status.crashed => "simavr has stopped".to_owned(),
             None if status.pc >= code_end => {
                 format!("it has left the program, which ends at {code_end:#06x}")
             }

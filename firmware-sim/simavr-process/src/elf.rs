@@ -1,9 +1,6 @@
 //! Reads the image's ELF file: the bytes of the flash and the end of the static data.
 
-use std::{
-    io,
-    path::{Path, PathBuf},
-};
+use std::path::Path;
 
 use object::{
     LittleEndian,
@@ -28,48 +25,37 @@ pub(crate) struct Image {
     pub(crate) static_end: u16,
 }
 
-/// Why a file is not a program for the board.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum ImageError {
-    #[error("can't read {0}: {1}")]
-    Read(PathBuf, #[source] io::Error),
-    #[error("{0} is not an ELF file of 32 bits, little-endian")]
-    NotElf(PathBuf),
-    #[error("{0} is for machine {1}, not for the AVR ({EM_AVR})")]
-    NotAvr(PathBuf, u16),
-    #[error("{0} is for the processors avr{1}, not for avr{EF_AVR_ARCH_AVR5} (-mmcu=atmega328p)")]
-    OtherFamily(PathBuf, u32),
-    #[error("{0} is truncated or corrupted")]
-    Damaged(PathBuf),
-    #[error("{0} needs {1} bytes of flash, but there are {FLASH_BYTES}")]
-    TooLarge(PathBuf, usize),
-    #[error("{0} has no contents for the flash")]
-    Empty(PathBuf),
-}
-
 impl Image {
-    pub(crate) fn read(path: &Path) -> Result<Self, ImageError> {
-        let bytes =
-            std::fs::read(path).map_err(|error| ImageError::Read(path.to_owned(), error))?;
-        Self::parse(&bytes, path)
+    /// Reads a file, or says why it is not a program for the board.
+    pub(crate) fn read(path: &Path) -> Result<Self, String> {
+        let name = path.display();
+        let bytes = std::fs::read(path).map_err(|error| format!("can't read {name}: {error}"))?;
+        Self::parse(&bytes).map_err(|why| format!("{name} {why}"))
     }
 
-    fn parse(bytes: &[u8], path: &Path) -> Result<Self, ImageError> {
-        let header = Header::parse(bytes).map_err(|_| ImageError::NotElf(path.to_owned()))?;
-        let damaged = |Damaged| ImageError::Damaged(path.to_owned());
+    fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let header =
+            Header::parse(bytes).map_err(|_| "is not an ELF file of 32 bits, little-endian")?;
+        let damaged = |Damaged| "is truncated or corrupted";
         let machine = header.e_machine(LittleEndian);
         if machine != EM_AVR {
-            return Err(ImageError::NotAvr(path.to_owned(), machine));
+            return Err(format!(
+                "is for machine {machine}, not for the AVR ({EM_AVR})"
+            ));
         }
         let family = header.e_flags(LittleEndian) & EF_AVR_ARCH;
         if family != EF_AVR_ARCH_AVR5 {
-            return Err(ImageError::OtherFamily(path.to_owned(), family));
+            return Err(format!(
+                "is for the processors avr{family}, not for avr{EF_AVR_ARCH_AVR5} (-mmcu=atmega328p)"
+            ));
         }
         let mut flash = Vec::new();
         for (address, contents) in segments(header, bytes).map_err(damaged)? {
             let end = address + contents.len();
             if end > FLASH_BYTES {
-                return Err(ImageError::TooLarge(path.to_owned(), end));
+                return Err(format!(
+                    "needs {end} bytes of flash, but there are {FLASH_BYTES}"
+                ));
             }
             if flash.len() < end {
                 flash.resize(end, 0xFF);
@@ -79,7 +65,7 @@ impl Image {
             }
         }
         if flash.is_empty() {
-            return Err(ImageError::Empty(path.to_owned()));
+            return Err("has no contents for the flash".to_owned());
         }
         Ok(Self {
             flash,
@@ -151,20 +137,16 @@ mod tests {
         bytes
     }
 
-    fn parse(bytes: &[u8]) -> Result<Image, ImageError> {
-        Image::parse(bytes, Path::new("uno.elf"))
-    }
-
     #[test]
     fn segments_go_to_their_load_address() {
-        let image = parse(&file(EM_AVR, 5, 2)).unwrap();
+        let image = Image::parse(&file(EM_AVR, 5, 2)).unwrap();
         assert_eq!(image.flash, [0xFF, 0xFF, 1, 2, 3, 4]);
         assert_eq!(image.static_end, SRAM_START);
     }
 
     #[test]
     fn files_that_are_not_images_have_distinct_errors() {
-        let other = |bytes: &[u8]| parse(bytes).unwrap_err().to_string();
+        let other = |bytes: &[u8]| Image::parse(bytes).unwrap_err();
         assert!(other(b"#!/bin/sh").contains("not an ELF file"));
         assert!(other(&file(62, 5, 0)).contains("for machine 62"));
         assert!(other(&file(EM_AVR, 6, 0)).contains("for the processors avr6"));
@@ -176,7 +158,7 @@ mod tests {
     fn a_file_truncated_anywhere_is_refused() {
         let whole = file(EM_AVR, 5, 0);
         for length in 0..whole.len() {
-            assert!(parse(&whole[..length]).is_err(), "{length}");
+            assert!(Image::parse(&whole[..length]).is_err(), "{length}");
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use singletrack_simavr::{CYCLES_PER_US, Figures, Interrupt};
+use singletrack_simavr::{CYCLES_PER_US, Cost, Figures};
 
 /// Critical sections within this time after the start do not count.
 const SETTLING: u64 = 5_000 * CYCLES_PER_US;
@@ -12,12 +12,22 @@ pub(crate) const PATTERN: u8 = 0xC5;
 /// Number of consecutive pattern bytes that counts as unwritten.
 const UNTOUCHED: usize = 16;
 
+/// Costs by the number of what ran.
 #[derive(Debug, Default)]
-struct Section {
-    count: u64,
-    fewest: u32,
-    most: u32,
-    all: u64,
+struct Costs(BTreeMap<u8, Cost>);
+
+impl Costs {
+    fn add(&mut self, number: u8, cycles: u64) {
+        let cost = self.0.entry(number).or_default();
+        cost.number = number;
+        cost.count += 1;
+        cost.most_cycles = cost.most_cycles.max(narrow(cycles));
+        cost.all_cycles += cycles;
+    }
+
+    fn list(&self) -> Vec<Cost> {
+        self.0.values().cloned().collect()
+    }
 }
 
 #[derive(Debug, Default)]
@@ -29,11 +39,11 @@ pub(crate) struct Meter {
     main: u64,
     /// Interrupts in service with their start times.
     serving: Vec<(u8, u64)>,
-    interrupts: BTreeMap<u8, Interrupt>,
+    interrupts: Costs,
     disabled_since: Option<u64>,
     longest_critical_section: u64,
     open: Option<(u8, u64)>,
-    sections: BTreeMap<u8, Section>,
+    sections: Costs,
 }
 
 /// A step, in terms of the counters.
@@ -76,12 +86,7 @@ impl Meter {
         }
         while self.serving.len() > span.depth {
             if let Some((vector, start)) = self.serving.pop() {
-                let cycles = span.to - start;
-                let interrupt = self.interrupts.entry(vector).or_default();
-                interrupt.vector = vector;
-                interrupt.count += 1;
-                interrupt.most_cycles = interrupt.most_cycles.max(narrow(cycles));
-                interrupt.all_cycles += cycles;
+                self.interrupts.add(vector, span.to - start);
             }
         }
         if span.interrupts_enabled || !self.serving.is_empty() {
@@ -101,15 +106,7 @@ impl Meter {
             return;
         }
         if let Some((number, since)) = self.open.take() {
-            let cycles = self.main - since;
-            let section = self.sections.entry(number).or_insert(Section {
-                fewest: u32::MAX,
-                ..Section::default()
-            });
-            section.count += 1;
-            section.fewest = section.fewest.min(narrow(cycles));
-            section.most = section.most.max(narrow(cycles));
-            section.all += cycles;
+            self.sections.add(number, self.main - since);
         }
         if value != 0 {
             self.open = Some((value, self.main));
@@ -123,20 +120,8 @@ impl Meter {
             cycles_asleep: self.cycles_asleep,
             stack_bytes: stack_bytes(sram),
             longest_critical_section: narrow(self.longest_critical_section),
-            interrupts: self.interrupts.values().cloned().collect(),
-            sections: self
-                .sections
-                .iter()
-                .map(|(&number, section)| {
-                    (
-                        number,
-                        section.count,
-                        section.fewest,
-                        section.most,
-                        section.all,
-                    )
-                })
-                .collect(),
+            interrupts: self.interrupts.list(),
+            sections: self.sections.list(),
         }
     }
 }

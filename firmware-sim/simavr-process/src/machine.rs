@@ -26,23 +26,9 @@ pub(crate) struct Status {
     pub(crate) response: u8,
     /// Number of interrupts in service.
     pub(crate) depth: u8,
-    interrupts_enabled: u8,
-    asleep: u8,
-    crashed: u8,
-}
-
-impl Status {
-    pub(crate) const fn interrupts_enabled(&self) -> bool {
-        self.interrupts_enabled != 0
-    }
-
-    pub(crate) const fn asleep(&self) -> bool {
-        self.asleep != 0
-    }
-
-    pub(crate) const fn crashed(&self) -> bool {
-        self.crashed != 0
-    }
+    pub(crate) interrupts_enabled: bool,
+    pub(crate) asleep: bool,
+    pub(crate) crashed: bool,
 }
 
 unsafe extern "C" {
@@ -186,13 +172,13 @@ impl Machine {
 
     /// Wakes the processor without an interrupt.
     pub(crate) fn wake(&mut self) {
-        self.status.asleep = 0;
+        self.status.asleep = false;
         // SAFETY: as above.
         unsafe { uno_wake(self.uno) };
     }
 
     pub(crate) fn disable_interrupts(&mut self) {
-        self.status.interrupts_enabled = 0;
+        self.status.interrupts_enabled = false;
         // SAFETY: as above.
         unsafe { uno_disable_interrupts(self.uno) };
     }

@@ -23,6 +23,7 @@ mod twi;
 mod uart;
 
 use std::{
+    error::Error,
     fs::File,
     io::{self, BufReader, BufWriter, ErrorKind, Read, Write},
     os::fd::AsFd,
@@ -32,10 +33,7 @@ use std::{
 
 use singletrack_simavr::{PipeError, Request, receive, send};
 
-use crate::{
-    board::Board,
-    elf::{Image, ImageError},
-};
+use crate::{board::Board, elf::Image};
 
 const USAGE: &str = "\
 Run the UNO image in simavr, instruction by instruction.
@@ -45,20 +43,6 @@ Usage: singletrack-simavr IMAGE.elf
 Started by the simulator (singletrack-sim --board uno), with which it exchanges
 binary messages over standard input and output.
 ";
-
-#[derive(Debug, thiserror::Error)]
-enum Error {
-    #[error("expected one argument, the image (see --help)")]
-    Arguments,
-    #[error(transparent)]
-    Image(#[from] ImageError),
-    #[error("this simavr does not support the ATmega328P")]
-    Processor,
-    #[error(transparent)]
-    Pipe(#[from] PipeError),
-    #[error("standard output: {0}")]
-    Output(#[source] io::Error),
-}
 
 fn main() -> ExitCode {
     match run() {
@@ -70,7 +54,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn run() -> Result<(), Error> {
+fn run() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args_os().skip(1);
     let path = match (arguments.next(), arguments.next()) {
         (Some(argument), None) if argument == "--help" || argument == "-h" => {
@@ -78,15 +62,15 @@ fn run() -> Result<(), Error> {
             return Ok(());
         }
         (Some(argument), None) => PathBuf::from(argument),
-        _ => return Err(Error::Arguments),
+        _ => return Err("expected one argument, the image (see --help)".into()),
     };
     let output = io::stdout()
         .as_fd()
         .try_clone_to_owned()
-        .map_err(Error::Output)?;
+        .map_err(|error| format!("standard output: {error}"))?;
     machine::silence_stdout();
     let image = Image::read(&path)?;
-    let mut board = Board::new(&image).ok_or(Error::Processor)?;
+    let mut board = Board::new(&image).ok_or("this simavr does not support the ATmega328P")?;
     let mut input = BufReader::new(io::stdin().lock());
     let mut output = BufWriter::new(File::from(output));
     match converse(&mut board, &mut input, &mut output) {

@@ -42,9 +42,9 @@ struct uno_status {
 	uint8_t response;
 	/* Number of interrupts in service. */
 	uint8_t depth;
-	uint8_t interrupts_enabled;
-	uint8_t asleep;
-	uint8_t crashed;
+	bool interrupts_enabled;
+	bool asleep;
+	bool crashed;
 };
 
 struct uno {

@@ -420,13 +420,14 @@ fn figures_match_the_program() {
     assert_eq!(figures.stack_bytes, 20);
     assert_eq!(figures.longest_critical_section, 10);
     let [interrupt] = figures.interrupts.try_into().unwrap();
-    assert_eq!(interrupt.vector, VECTOR_TIMER0_COMPA);
+    assert_eq!(interrupt.number, VECTOR_TIMER0_COMPA);
     assert!((99..=100).contains(&interrupt.count));
     // Waking the processor takes four more.
     assert_eq!(interrupt.most_cycles, 36);
     assert_eq!(interrupt.all_cycles, 36 * interrupt.count);
-    let [(number, count, fewest, most, all)] = figures.sections.try_into().unwrap();
-    assert_eq!((number, fewest, most, all), (3, 7, 7, 7 * count));
+    let [section] = figures.sections.try_into().unwrap();
+    assert_eq!((section.number, section.most_cycles), (3, 7));
+    assert_eq!(section.all_cycles, 7 * section.count);
 }
 
 #[test]
@@ -439,9 +440,9 @@ fn instructions_take_the_cycles_of_the_data_sheet() {
     let cycles: Vec<_> = figures
         .sections
         .iter()
-        .map(|&(number, count, fewest, ..)| {
-            assert_eq!(count, 1);
-            (number, fewest - 1)
+        .map(|section| {
+            assert_eq!(section.count, 1);
+            (section.number, section.most_cycles - 1)
         })
         .collect();
     // CALL and RCALL and ICALL with the RET.

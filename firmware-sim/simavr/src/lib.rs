@@ -36,8 +36,8 @@ use serde::{Deserialize, Serialize};
 
 pub use bno055::{Bno055, ImuRegisters};
 pub use message::{
-    BusFault, CYCLES_PER_US, Figures, Hang, Interrupt, Pin, PipeError, Pulse, Reply, Report,
-    Request, ResetFlags, Run, receive, send,
+    BusFault, CYCLES_PER_US, Cost, Figures, Hang, Pin, PipeError, Pulse, Reply, Report, Request,
+    ResetFlags, Run, receive, send,
 };
 
 /// Motion along the IMU's axes.
@@ -76,7 +76,8 @@ impl Motion {
         Self {
             linear_acceleration_mm_s2: turned(self.linear_acceleration_mm_s2),
             angular_velocity_mrad_s: turned(self.angular_velocity_mrad_s),
-            attitude_q14: product(self.attitude_q14, inverse_rotation(rows)),
+            attitude_q14: product(self.attitude_q14.map(f64::from), inverse_rotation(rows))
+                .map(|value| value.round() as i16),
         }
     }
 }
@@ -114,15 +115,13 @@ fn inverse_rotation([[a, b, c], [d, e, f], [g, h, i]]: [[f64; 3]; 3]) -> [f64; 4
 }
 
 /// The product of two quaternions w, x, y, z.
-fn product(first: [i16; 4], [e, f, g, h]: [f64; 4]) -> [i16; 4] {
-    let [a, b, c, d] = first.map(f64::from);
+pub fn product([a, b, c, d]: [f64; 4], [e, f, g, h]: [f64; 4]) -> [f64; 4] {
     [
         a * e - b * f - c * g - d * h,
         a * f + b * e + c * h - d * g,
         a * g - b * h + c * e + d * f,
         a * h + b * g - c * f + d * e,
     ]
-    .map(|value| value.round() as i16)
 }
 
 #[cfg(test)]

@@ -168,25 +168,25 @@ pub struct Figures {
     pub stack_bytes: u16,
     /// Longest stretch with interrupts disabled outside an interrupt, in cycles.
     pub longest_critical_section: u32,
-    /// The interrupts that were served.
-    pub interrupts: Vec<Interrupt>,
+    /// The interrupts that were served, by their vectors: 1 is INT0. From the vector to the
+    /// return, including the processor's response.
+    pub interrupts: Vec<Cost>,
     /// Marked sections: the main program writes a number other than zero to GPIOR0
     /// at the start and zero at the end. Cycles of interrupts in between do not
-    /// count. Number, runs, and minimum, maximum and total cycles.
-    pub sections: Vec<(u8, u64, u32, u32, u64)>,
+    /// count.
+    pub sections: Vec<Cost>,
 }
 
-/// Cost of an interrupt.
+/// Cost of a part of the program.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Interrupt {
-    /// Vector number; 1 is INT0.
-    pub vector: u8,
-    /// Number of services.
+pub struct Cost {
+    /// Its number.
+    pub number: u8,
+    /// How often it ran.
     pub count: u64,
-    /// Longest service, in cycles, from the vector to the return, including the
-    /// processor's response.
+    /// Cycles of its longest run.
     pub most_cycles: u32,
-    /// Total cycles.
+    /// Cycles of all runs.
     pub all_cycles: u64,
 }
 

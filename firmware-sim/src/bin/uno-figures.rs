@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use singletrack_protocol::BoardMode;
 use singletrack_sim::{
-    BoardKind, BoardParameters, BusFault, Figures, ImageSize, Installation, ScriptedDrive,
+    BoardKind, BoardParameters, BusFault, Cost, Figures, ImageSize, Installation, ScriptedDrive,
     SimulationConfig, WireFaults,
 };
 
@@ -59,12 +59,12 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     );
     println!("critical-section {} cycles", after.longest_critical_section);
     for interrupt in &after.interrupts {
-        let name = interrupt_name(interrupt.vector);
+        let name = interrupt_name(interrupt.number);
         println!("interrupt-{name} {} cycles", interrupt.most_cycles);
     }
-    if let Some(&(_, count, _, most, all)) = section(&driving, 1) {
-        println!("poll-mean {} cycles", all / count.max(1));
-        println!("poll-longest {most} cycles");
+    if let Some(poll) = section(&driving, 1) {
+        println!("poll-mean {} cycles", poll.all_cycles / poll.count.max(1));
+        println!("poll-longest {} cycles", poll.most_cycles);
     }
     let codec = installation.measure("singletrack-uno-cycles.elf", 2_000_000)?;
     for (number, name) in [
@@ -75,9 +75,9 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         (5, "poll-idle"),
         (6, "poll-with-telemetry"),
     ] {
-        let &(_, _, _, most, _) = section(&codec, number)
+        let cost = section(&codec, number)
             .ok_or_else(|| format!("section {number} ({name}) of the benchmark did not end"))?;
-        println!("{name} {most} cycles");
+        println!("{name} {} cycles", cost.most_cycles);
     }
     Ok(())
 }
@@ -121,8 +121,9 @@ fn busy_percent(before: &Figures, after: &Figures) -> f64 {
     100.0 * (1.0 - asleep as f64 / cycles.max(1) as f64)
 }
 
-fn section(figures: &Figures, number: u8) -> Option<&(u8, u64, u32, u32, u64)> {
-    figures.sections.iter().find(|(found, ..)| *found == number)
+fn section(figures: &Figures, number: u8) -> Option<&Cost> {
+    let mut sections = figures.sections.iter();
+    sections.find(|section| section.number == number)
 }
 
 /// Name of an interrupt by its source in the ATmega328P.

@@ -8,8 +8,8 @@ use std::{
 
 use singletrack_protocol::ResetCause;
 use singletrack_simavr::{
-    BusFault, CYCLES_PER_US, Figures, Hang, ImuRegisters, Motion, Pin, PipeError, Reply, Report,
-    Request, ResetFlags, Run, receive, send,
+    BusFault, CYCLES_PER_US, Figures, Hang, Motion, Pin, PipeError, Reply, Report, Request,
+    ResetFlags, Run, receive, send,
 };
 
 use super::{Environment, battery_mv, local_time, supply_mv};
@@ -224,14 +224,10 @@ impl Image {
             received,
             motor_edges: self.motor_edges(environment.car, &clock),
             motion: std::mem::take(&mut self.motion),
-            battery_mv: battery_mv(
-                environment.car,
-                &environment.car.parameters.battery,
-                environment.battery_noise,
-            ),
-            supply_mv: supply_mv(&environment.car.parameters.battery),
+            battery_mv: battery_mv(environment.car, environment.battery_noise),
+            supply_mv: supply_mv(environment.car),
             divider_open: environment.car.parameters.battery.divider_open,
-            imu_health: Some(imu_registers(environment.car)),
+            imu_health: Some(environment.car.parameters.imu.registers()),
             stop_input_open: environment.stop_input_open,
         };
         match self.ask(&Request::Run(run)) {
@@ -326,16 +322,6 @@ impl Image {
                 None
             }
         }
-    }
-}
-
-fn imu_registers(car: &Car) -> ImuRegisters {
-    let [calibration, self_test, status, error] = car.parameters.imu.registers();
-    ImuRegisters {
-        calibration,
-        self_test,
-        status,
-        error,
     }
 }
 

@@ -18,7 +18,7 @@ use singletrack_simavr::{BusFault, Figures, Hang, Motion};
 
 use self::{image::Image, native::Native};
 use crate::{
-    car::{BatteryParameters, Car},
+    car::Car,
     clock::SkewedClock,
     pulses::{PulseFilter, PulseLog, PulseRecord},
     random::{Random, Stream},
@@ -42,16 +42,11 @@ words! {
     }
 }
 
-/// Unknown kind of board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("choose native or uno")]
-pub struct UnknownBoard;
-
 impl core::str::FromStr for BoardKind {
-    type Err = UnknownBoard;
+    type Err = &'static str;
 
-    fn from_str(text: &str) -> Result<Self, UnknownBoard> {
-        Self::named(text).ok_or(UnknownBoard)
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Self::named(text).ok_or("choose native or uno")
     }
 }
 
@@ -397,16 +392,17 @@ fn local_time(clock: &SkewedClock, started_us: u64, simulation_us: u64) -> u32 {
 
 /// The voltage at the battery's terminals. A floating input shows anything: half of the
 /// supply at the pin.
-fn battery_mv(car: &Car, p: &BatteryParameters, noise: &mut Random) -> u16 {
+fn battery_mv(car: &Car, noise: &mut Random) -> u16 {
+    let p = &car.parameters.battery;
     if p.divider_open {
-        return supply_mv(p);
+        return supply_mv(car);
     }
     let volts = car.battery_v() + noise.normal() * p.noise_v;
     (volts * 1e3).round() as u16
 }
 
-fn supply_mv(p: &BatteryParameters) -> u16 {
-    (p.supply_v * 1e3).round() as u16
+fn supply_mv(car: &Car) -> u16 {
+    (car.parameters.battery.supply_v * 1e3).round() as u16
 }
 
 /// A message of the host that reached the board, accepted or not.

@@ -136,15 +136,15 @@ impl Native {
                     count: self.edges.accepted,
                     last_edge_us: local_time(&clock, started_us, edges.last_us.unwrap_or(0)),
                 };
-                self.inputs.battery_mv = battery_mv(car, &car.parameters.battery, battery_noise);
-                self.inputs.supply_mv = supply_mv(&car.parameters.battery);
+                self.inputs.battery_mv = battery_mv(car, battery_noise);
+                self.inputs.supply_mv = supply_mv(car);
                 self.inputs.battery_open = car.parameters.battery.divider_open;
-                let [calibration, self_test, status, error] = car.parameters.imu.registers();
+                let health = car.parameters.imu.registers();
                 self.inputs.imu_health = ImuHealth {
-                    calibration,
-                    self_test,
-                    status,
-                    error,
+                    calibration: health.calibration,
+                    self_test: health.self_test,
+                    status: health.status,
+                    error: health.error,
                 };
                 self.inputs.stop_input_open = stop_input_open;
                 self.received.clear();

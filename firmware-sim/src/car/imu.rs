@@ -3,7 +3,7 @@
 
 use singletrack_control::GRAVITY;
 use singletrack_settings::section;
-use singletrack_simavr::Motion;
+use singletrack_simavr::{ImuRegisters, Motion};
 
 use super::Truth;
 use crate::{
@@ -86,16 +86,15 @@ impl ImuParameters {
         self
     }
 
-    /// The registers `CALIB_STAT`, `ST_RESULT`, `SYS_STATUS` and `SYS_ERR`.
-    pub const fn registers(&self) -> [u8; 4] {
+    /// The registers of its health.
+    pub const fn registers(&self) -> ImuRegisters {
         let [system, gyroscope, accelerometer] = self.calibration;
-        let calibration = (system & 3) << 6 | (gyroscope & 3) << 4 | (accelerometer & 3) << 2;
-        [
-            calibration,
-            self.self_test,
-            self.system_status,
-            self.system_error,
-        ]
+        ImuRegisters {
+            calibration: (system & 3) << 6 | (gyroscope & 3) << 4 | (accelerometer & 3) << 2,
+            self_test: self.self_test,
+            status: self.system_status,
+            error: self.system_error,
+        }
     }
 }
 
@@ -484,8 +483,14 @@ mod tests {
     #[test]
     fn the_registers_are_those_of_the_data_sheet() {
         let mut p = ImuParameters::default();
-        assert_eq!(p.registers(), [0b1111_1100, 15, 5, 0]);
+        let good = ImuRegisters {
+            calibration: 0b1111_1100,
+            self_test: 15,
+            status: 5,
+            error: 0,
+        };
+        assert_eq!(p.registers(), good);
         p.calibration = [0, 3, 1];
-        assert_eq!(p.registers()[0], 0b0011_0100);
+        assert_eq!(p.registers().calibration, 0b0011_0100);
     }
 }

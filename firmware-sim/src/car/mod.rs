@@ -15,6 +15,7 @@ use singletrack_control::{
 };
 use singletrack_protocol::{ImuAxes, ImuAxis};
 use singletrack_settings::section;
+use singletrack_simavr::product;
 
 use crate::ranges::{LAG, NOT_NEGATIVE, POSITIVE};
 
@@ -343,16 +344,6 @@ pub(crate) fn mounting_deg(axes: ImuAxes) -> [f64; 3] {
         })
         // A left-handed set of axes, which the board refuses.
         .unwrap_or_default()
-}
-
-/// The product of two quaternions w, x, y, z.
-fn product([a, b, c, d]: [f64; 4], [e, f, g, h]: [f64; 4]) -> [f64; 4] {
-    [
-        a * e - b * f - c * g - d * h,
-        a * f + b * e + c * h - d * g,
-        a * g - b * h + c * e + d * f,
-        a * h + b * g - c * f + d * e,
-    ]
 }
 
 #[cfg(test)]

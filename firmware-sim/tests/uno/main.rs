@@ -160,7 +160,7 @@ fn a_drive_at_100_hz_leaves_80_percent_of_the_processor_and_600_bytes_of_memory(
         after
             .interrupts
             .iter()
-            .find(|interrupt| interrupt.vector == vector)
+            .find(|interrupt| interrupt.number == vector)
             .unwrap()
     };
     for vector in [1, 14, 18, 19, 24] {

@@ -94,7 +94,7 @@ impl Collector {
         while let Ok(report) = self.cameras.pop() {
             match report {
                 CameraReport::Observation(observation) => self.entry(Entry::Pose(observation)),
-                CameraReport::Counters(counters) => self.status.latest().tally.mocap(&counters),
+                CameraReport::Counters(counters) => self.status.tally().mocap(&counters),
                 CameraReport::Diagnosis(diagnosis) => self.diagnosed(diagnosis),
                 CameraReport::Neighbour(neighbour) => {
                     self.status.latest().cameras.neighbour = neighbour;
@@ -103,11 +103,12 @@ impl Collector {
         }
         while let Some(tick) = self.ticks.pop() {
             if let Some(why) = tick.output.setpoint_refused {
-                self.status.latest().tally.figures.setpoints.refuse(why);
+                self.status.tally().figures.setpoints.refuse(why);
             }
             // First of all: a controller outside waits for it.
             self.states.tick(&tick);
             let state = self.states.state(&tick);
+            self.status.tally().tick(&tick);
             self.status.publish(tick.without_events(), state, |latest| {
                 for event in &tick.events {
                     if let Event::Proved(proved) = event {
@@ -117,7 +118,6 @@ impl Collector {
                 if tick.output.proved {
                     latest.proved = Some(true);
                 }
-                latest.tally.tick(&tick);
             });
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
             if tick.output.mode.is_underway() {
@@ -158,7 +158,7 @@ impl Collector {
                 let (level, text) = describe(&event);
                 self.log(time_ns, level, text);
             }
-            Report::Counters(counters) => self.status.latest().tally.line(&counters),
+            Report::Counters(counters) => self.status.tally().line(&counters),
             Report::Proved { time_ns, proof } => {
                 let text = format!("the configuration is proved on car {}", proof.car_id);
                 self.log(time_ns, Level::Info, text);
@@ -247,11 +247,11 @@ impl Collector {
         if let Some(record) = &mut self.record
             && !record.push(entry)
         {
-            let mut latest = self.status.latest();
-            let dropped = &mut latest.tally.figures.dropped.record_entries;
+            let mut tally = self.status.tally();
+            let dropped = &mut tally.figures.dropped.record_entries;
             *dropped += 1;
             // A record that has ended is reported elsewhere.
-            if *dropped == 1 && latest.record_error.is_none() {
+            if *dropped == 1 && self.status.latest().record_error.is_none() {
                 tracing::warn!(
                     time_ns = monotonic_ns(),
                     "the record is incomplete: the disk does not keep up"

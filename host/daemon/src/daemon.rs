@@ -421,16 +421,16 @@ impl Daemon {
                 warn!("the record is incomplete: {error}");
             }
         })?;
-        let mut latest = self.handle.status.latest();
-        latest.tally.line(&counters);
+        let mut tally = self.handle.status.tally();
+        tally.line(&counters);
         if let Some((counters, dropped)) = receiver {
-            latest.tally.mocap(&counters);
-            latest.tally.figures.dropped.observations = dropped;
+            tally.mocap(&counters);
+            tally.figures.dropped.observations = dropped;
         }
         let serial_bytes = reader.map_or(0, |counters| counters.bytes_dropped);
-        latest.tally.figures.dropped.serial_bytes = serial_bytes;
+        tally.figures.dropped.serial_bytes = serial_bytes;
         Ok(Summary {
-            figures: latest.tally.figures(),
+            figures: tally.figures(),
             realtime: self.handle.realtime.clone(),
             record,
             record_error,

@@ -52,22 +52,11 @@ impl DaemonHandle {
 
     /// Copies the present status.
     pub(crate) fn snapshot(&self) -> Snapshot {
-        let latest = self.status.latest();
+        let latest = self.status.latest().clone();
         let published = self.reconfigurer.published();
-        let calibration = latest.calibration.as_ref();
         Snapshot {
-            tick: latest.tick.clone(),
-            state: latest.state.clone(),
-            board: latest.board,
-            board_status: latest.board_status,
-            proved: latest.proved,
-            // That of another configuration says nothing of this one.
-            calibration: calibration
-                .filter(|(number, _)| *number == published.view.number)
-                .map(|(_, calibration)| calibration.clone()),
-            learned: latest.learned,
-            cameras: latest.cameras.clone(),
-            figures: latest.tally.figures(),
+            latest,
+            figures: self.status.tally().figures(),
             realtime: self.realtime.clone(),
             configuration: published.view.clone(),
             tuning: published.config.tuning_rule(),
@@ -76,9 +65,6 @@ impl DaemonHandle {
                 .map(|subject| self.commissioned.view(subject)),
             config_path: self.config_path.clone(),
             record: self.record.clone(),
-            record_error: latest.record_error.clone(),
-            record_warning: latest.record_warning.clone(),
-            serial_error: latest.serial_error.clone(),
         }
     }
 }

@@ -62,6 +62,7 @@ pub use commissioned_file::not_commissioned;
 pub use daemon::{Daemon, StartOptions, StopError};
 pub use mocap_socket::MocapSockets;
 pub use realtime::RealTimeStatus;
+pub use shared_status::Latest;
 pub use singletrack_statistics::Percentiles;
 pub use snapshot::Snapshot;
 pub use socket::{Arm, Attendance, Command, ParseError, SetpointFigures};

@@ -26,34 +26,38 @@ const TICK_CAPACITY: usize = 1_024;
 pub(crate) const WATCHERS: usize = 24;
 
 /// The latest value of everything that the threads report.
-#[derive(Debug, Default)]
-pub(crate) struct Latest {
-    pub(crate) tick: Option<Arc<TickRecord<0>>>,
-    pub(crate) state: Option<State>,
-    pub(crate) board: Option<(BoardMode, StopCause)>,
-    pub(crate) board_status: Option<Status>,
+#[derive(Clone, Debug, Default)]
+pub struct Latest {
+    /// The last tick, without its events; `None` before the first.
+    pub tick: Option<Arc<TickRecord<0>>>,
+    /// The view of it that the control socket gives.
+    pub state: Option<State>,
+    /// The board's own mode and the cause of its last stop, from its last telemetry.
+    pub board: Option<(BoardMode, StopCause)>,
+    /// The last status message of the board.
+    pub board_status: Option<Status>,
     /// Whether the configuration in force is proved on this car; `None` before the board has
     /// given its number.
-    pub(crate) proved: Option<bool>,
+    pub proved: Option<bool>,
     /// What drives say of the configuration of this number.
-    pub(crate) calibration: Option<(u32, Calibration)>,
+    pub calibration: Option<(u32, Calibration)>,
     /// What the pilot corrects in this drive, if it learns.
-    pub(crate) learned: Option<Learned>,
-    /// What is wrong with the cameras.
-    pub(crate) cameras: Diagnosis,
-    pub(crate) tally: Tally,
+    pub learned: Option<Learned>,
+    /// What is wrong with the cameras, or that nothing is.
+    pub cameras: Diagnosis,
     /// Why the serial port can't be opened; none if it is open.
-    pub(crate) serial_error: Option<String>,
-    /// Why the record ended before the daemon.
-    pub(crate) record_error: Option<String>,
-    /// Why the record will soon end.
-    pub(crate) record_warning: Option<String>,
+    pub serial_error: Option<String>,
+    /// Why the record ended before the daemon, such as a full disk.
+    pub record_error: Option<String>,
+    /// Why the record will soon end, such as a disk that is nearly full.
+    pub record_warning: Option<String>,
 }
 
 /// The latest values, and the stream of entries for watchers.
 #[derive(Debug)]
 pub(crate) struct SharedStatus {
     latest: Mutex<Latest>,
+    tally: Mutex<Tally>,
     /// Every entry of the record as a line of JSON.
     pub(crate) watchers: broadcast::Sender<(Topic, Arc<str>)>,
     /// The same as the messages of the record.
@@ -71,6 +75,7 @@ impl SharedStatus {
     pub(crate) fn new(clocks: ClockMapping) -> Self {
         Self {
             latest: Mutex::default(),
+            tally: Mutex::default(),
             watchers: broadcast::Sender::new(WATCH_CAPACITY),
             messages: MessageFeed::new(clocks),
             states: broadcast::Sender::new(STATE_CAPACITY),
@@ -84,6 +89,11 @@ impl SharedStatus {
     pub(crate) fn latest(&self) -> MutexGuard<'_, Latest> {
         // The values hold no invariant that a panic could break.
         self.latest.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Locks the figures; not for the control thread either.
+    pub(crate) fn tally(&self) -> MutexGuard<'_, Tally> {
+        self.tally.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Makes a tick the latest one, with what else has changed, and then sends it: a client that has

@@ -1,42 +1,20 @@
 //! A snapshot of the daemon's status.
 
-use std::{
-    path::{Path, PathBuf},
-    sync::Arc,
-};
+use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
-use singletrack_api::{
-    Board, Calibration, Cameras, Configuration, State, Tunable, Tuning, TuningBounds,
-};
-use singletrack_core::{config::TuningRule, diagnosis::Diagnosis};
-use singletrack_pilot::{Learned, Mode, Output, Reason, Tuned};
-use singletrack_protocol::{BoardMode, Status, StopCause};
-use singletrack_record::TickRecord;
+use singletrack_api::{Board, Cameras, Configuration, Tunable, Tuning, TuningBounds};
+use singletrack_core::config::TuningRule;
+use singletrack_pilot::{Mode, Output, Reason, Tuned};
 
-use crate::{realtime::RealTimeStatus, summary::Figures};
+use crate::{realtime::RealTimeStatus, shared_status::Latest, summary::Figures};
 
 /// The status of the daemon: the last tick, the last messages of the board, and the
 /// figures so far.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
-    /// The last tick, without its events; `None` before the first.
-    pub tick: Option<Arc<TickRecord<0>>>,
-    /// The view of it that the control socket gives.
-    pub state: Option<State>,
-    /// The board's own mode and the cause of its last stop, from its last telemetry.
-    pub board: Option<(BoardMode, StopCause)>,
-    /// The last status message of the board.
-    pub board_status: Option<Status>,
-    /// Whether the configuration in force is proved on this car; `None` before the board has
-    /// given its number.
-    pub proved: Option<bool>,
-    /// What drives say of the configuration in force.
-    pub calibration: Option<Calibration>,
-    /// What the pilot corrects in this drive.
-    pub learned: Option<Learned>,
-    /// What is wrong with the cameras, or that nothing is.
-    pub cameras: Diagnosis,
+    /// What the threads have reported.
+    pub latest: Latest,
     /// The figures so far.
     pub figures: Figures,
     /// What the system granted the control thread.
@@ -51,18 +29,12 @@ pub struct Snapshot {
     pub config_path: Option<PathBuf>,
     /// The file of the record.
     pub record: Option<PathBuf>,
-    /// Why the record ended before the daemon, such as a full disk.
-    pub record_error: Option<String>,
-    /// Why the record will soon end, such as a disk that is nearly full.
-    pub record_warning: Option<String>,
-    /// Why the serial port can't be opened.
-    pub serial_error: Option<String>,
 }
 
 impl Snapshot {
     /// What the pilot decided in the last tick.
     pub fn output(&self) -> Option<&Output> {
-        self.tick.as_ref().map(|tick| &tick.output)
+        self.latest.tick.as_ref().map(|tick| &tick.output)
     }
 
     /// The pilot's mode; disconnected before the first tick.
@@ -78,37 +50,41 @@ impl Snapshot {
 
     /// The status as the control socket gives it.
     pub(crate) fn status(&self) -> singletrack_api::Status {
+        let latest = self.latest.clone();
+        // That of another configuration says nothing of this one.
+        let of_this = |(number, _): &(u32, _)| *number == self.configuration.number;
+        let calibration = latest.calibration.filter(of_this);
         singletrack_api::Status {
-            board: self.board.map(|(mode, cause)| Board {
-                battery_mv: self.board_status.map(|status| status.battery_mv),
+            board: latest.board.map(|(mode, cause)| Board {
+                battery_mv: latest.board_status.map(|status| status.battery_mv),
                 mode: mode.name().into(),
                 stop_cause: cause.name().into(),
-                stop_input_open: self.board_status.map(|status| status.stop_input_open),
+                stop_input_open: latest.board_status.map(|status| status.stop_input_open),
             }),
-            calibration: self.calibration.clone(),
+            calibration: calibration.map(|(_, calibration)| calibration),
             cameras: Cameras {
-                diagnosis: self.cameras.word.into(),
-                neighbour: self.cameras.neighbour.clone(),
-                text: self.cameras.text.clone(),
+                diagnosis: latest.cameras.word.into(),
+                neighbour: latest.cameras.neighbour,
+                text: latest.cameras.text,
             },
             commissioned: self.commissioned.clone(),
             config_path: self.config_path.as_deref().map(shown),
             configuration: self.configuration.clone(),
             figures: json!(self.figures),
-            learned: self.learned.map(|it| singletrack_api::Learned {
+            learned: latest.learned.map(|it| singletrack_api::Learned {
                 body_yaw_rad: it.body_yaw,
                 pivot_m: [it.pivot_forward, it.pivot_left],
                 stamp_offset_s: it.stamp_offset,
                 steering_gain: it.steering_gain,
                 steering_trim_rad: it.steering_trim,
             }),
-            proved: self.proved,
+            proved: latest.proved,
             realtime: json!(self.realtime),
             record: self.record.as_deref().map(shown),
-            record_error: self.record_error.clone(),
-            record_warning: self.record_warning.clone(),
-            serial_error: self.serial_error.clone(),
-            state: self.state.clone(),
+            record_error: latest.record_error,
+            record_warning: latest.record_warning,
+            serial_error: latest.serial_error,
+            state: latest.state,
             tuning: self.tunable(),
         }
     }
@@ -151,12 +127,15 @@ mod tests {
     use singletrack_control::{
         Actuation, Estimate, Position, ReferencePoint, SlowedBy, Time, Velocity,
     };
-    use singletrack_core::{Config, state_stream::States};
-    use singletrack_pilot::Filtering;
-    use singletrack_record::LinkPhase;
+    use std::sync::Arc;
+
+    use singletrack_api::{Calibration, Change, Correction};
+    use singletrack_core::{Config, diagnosis::Diagnosis, state_stream::States};
+    use singletrack_pilot::{Filtering, Learned};
+    use singletrack_protocol::{BoardMode, StopCause};
+    use singletrack_record::{LinkPhase, TickRecord};
 
     use super::*;
-    use singletrack_api::{Change, Correction};
 
     /// With every value that there can be.
     fn snapshot() -> Snapshot {
@@ -213,20 +192,20 @@ mod tests {
             drive: None,
             link: LinkPhase::Configuring,
         };
-        Snapshot {
+        let calibration = Calibration {
+            advice: vec!["the steering trim is off".to_owned()],
+            corrections: vec![Correction {
+                configured: json!(1_500),
+                key: "board.servo.centre_us".to_owned(),
+                value: json!(1_542),
+            }],
+        };
+        let latest = Latest {
             state: Some(States::default().state(&tick)),
             tick: Some(Arc::new(tick)),
             board: Some((BoardMode::Neutral, StopCause::Disarmed)),
-            board_status: None,
             proved: Some(true),
-            calibration: Some(Calibration {
-                advice: vec!["the steering trim is off".to_owned()],
-                corrections: vec![Correction {
-                    configured: json!(1_500),
-                    key: "board.servo.centre_us".to_owned(),
-                    value: json!(1_542),
-                }],
-            }),
+            calibration: Some((2, calibration)),
             learned: Some(Learned {
                 steering_gain: -0.125,
                 pivot_left: 0.0078125,
@@ -236,6 +215,11 @@ mod tests {
                 neighbour: Some("\"wand\" is near".to_owned()),
                 ..Diagnosis::default()
             },
+            record_error: Some("disk full".to_owned()),
+            ..Latest::default()
+        };
+        Snapshot {
+            latest,
             figures: Figures::default(),
             realtime: RealTimeStatus {
                 fifo_priority: Some(80),
@@ -254,25 +238,19 @@ mod tests {
             commissioned: Some(json!({ "missing": "doctor" })),
             config_path: Some("/etc/car.toml".into()),
             record: Some("records/one.mcap".into()),
-            record_error: Some("disk full".to_owned()),
-            record_warning: None,
-            serial_error: None,
         }
     }
 
     #[test]
     fn the_status_is_written_as_in_the_golden_file() {
         let nothing = Snapshot {
-            tick: None,
-            state: None,
-            board: None,
-            proved: None,
-            calibration: None,
-            learned: None,
+            latest: Latest {
+                cameras: snapshot().latest.cameras,
+                ..Latest::default()
+            },
             commissioned: None,
             config_path: None,
             record: None,
-            record_error: None,
             ..snapshot()
         };
         let written = [snapshot(), nothing]

@@ -39,7 +39,7 @@ fn start(port: &Path) -> Daemon {
 }
 
 fn link(daemon: &Daemon) -> Option<LinkPhase> {
-    daemon.snapshot().tick.map(|tick| tick.link)
+    daemon.snapshot().latest.tick.map(|tick| tick.link)
 }
 
 /// A board that answers greeting and configuration, and sends telemetry at neutral.

@@ -111,25 +111,9 @@ struct Origin {
 }
 
 impl BoardClock {
-    /// A clock without any stamp.
-    pub const fn new() -> Self {
-        Self {
-            origin: None,
-            points: Vec::new(),
-            edge: None,
-            line: ExcessLine {
-                at_ns: 0,
-                offset_ns: 0.0,
-                skew: 0.0,
-                uncertainty_ns: 0.0,
-            },
-            implausible: 0,
-        }
-    }
-
     /// Forgets all stamps: the board's clock has started again.
     pub fn restart(&mut self) {
-        *self = Self::new();
+        *self = Self::default();
     }
 
     /// Takes the stamp of a record. `receive_time_ns` is the time of its arrival minus

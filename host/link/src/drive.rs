@@ -211,20 +211,13 @@ pub(crate) struct Latency {
 
 impl Latency {
     pub(crate) fn sent(&mut self, now_ns: u64, sequence: Sequence) {
-        if let Some(slot) = self.sent.get_mut(slot(sequence)) {
-            *slot = Some((sequence, now_ns));
-        }
+        self.sent[slot(sequence)] = Some((sequence, now_ns));
     }
 
     /// Telemetry reports `sequence` as the last accepted command.
     pub(crate) fn echoed(&mut self, now_ns: u64, sequence: Sequence) {
-        let Some(slot) = self.sent.get_mut(slot(sequence)) else {
-            return;
-        };
-        if let Some((sent, sent_ns)) = *slot
-            && sent == sequence
-        {
-            *slot = None;
+        let sent = &mut self.sent[slot(sequence)];
+        if let Some((_, sent_ns)) = sent.take_if(|(sent, _)| *sent == sequence) {
             let last_ns = now_ns.saturating_sub(sent_ns);
             let min_ns = self
                 .round_trip

@@ -83,6 +83,18 @@ pub enum Event {
     },
 }
 
+/// A call of the owner: its time, and who is told what happens.
+pub(crate) struct Wake<'a> {
+    pub(crate) now_ns: u64,
+    pub(crate) on_event: &'a mut dyn FnMut(Event),
+}
+
+impl Wake<'_> {
+    pub(crate) fn tell(&mut self, event: Event) {
+        (self.on_event)(event);
+    }
+}
+
 /// A telemetry record in host time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimedTelemetry {
@@ -276,46 +288,39 @@ impl QualityWindow {
     const TENTH_NS: u64 = 100_000_000;
 
     pub(crate) fn good(&mut self, now_ns: u64) {
-        if let Some(tenth) = self.tenth(now_ns) {
-            tenth.good = tenth.good.saturating_add(1);
-        }
+        let good = &mut self.tenth(now_ns).good;
+        *good = good.saturating_add(1);
     }
 
     pub(crate) fn damaged(&mut self, now_ns: u64) {
-        if let Some(tenth) = self.tenth(now_ns) {
-            tenth.damaged = tenth.damaged.saturating_add(1);
-        }
+        let damaged = &mut self.tenth(now_ns).damaged;
+        *damaged = damaged.saturating_add(1);
     }
 
     pub(crate) fn over_last_second(&self, now_ns: u64) -> LineQuality {
         let now = now_ns / Self::TENTH_NS;
+        let span = Self::TENTHS as u64;
         let mut sum = LineQuality::default();
-        for age in 0..Self::TENTHS as u64 {
-            // The array stores `newest` and the nine tenths before it.
-            let number = self.newest.checked_sub(age);
-            if let Some(number) = number
-                && now.saturating_sub(number) < Self::TENTHS as u64
-                && let Some(tenth) = self.tenths.get(Self::slot(number))
-            {
-                sum.good = sum.good.saturating_add(tenth.good);
-                sum.damaged = sum.damaged.saturating_add(tenth.damaged);
-            }
+        // The array stores `newest` and the nine tenths before it.
+        let stored = self.newest.saturating_sub(span - 1)..=self.newest;
+        for number in stored.filter(|number| now.saturating_sub(*number) < span) {
+            let tenth = self.tenths[Self::slot(number)];
+            sum.good = sum.good.saturating_add(tenth.good);
+            sum.damaged = sum.damaged.saturating_add(tenth.damaged);
         }
         sum
     }
 
-    fn tenth(&mut self, now_ns: u64) -> Option<&mut LineQuality> {
+    fn tenth(&mut self, now_ns: u64) -> &mut LineQuality {
         let now = now_ns / Self::TENTH_NS;
         if now > self.newest {
             let passed = (now - self.newest).min(Self::TENTHS as u64);
             for back in 0..passed {
-                if let Some(tenth) = self.tenths.get_mut(Self::slot(now - back)) {
-                    *tenth = LineQuality::default();
-                }
+                self.tenths[Self::slot(now - back)] = LineQuality::default();
             }
             self.newest = now;
         }
-        self.tenths.get_mut(Self::slot(self.newest))
+        &mut self.tenths[Self::slot(self.newest)]
     }
 
     fn slot(number: u64) -> usize {

@@ -22,14 +22,7 @@ pub const SLOW_RETRY_NS: u64 = 1_000_000_000;
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Phase {
     Disconnected,
-    Greeting {
-        greeting: Greeting,
-        since_ns: u64,
-    },
-    VersionMismatch {
-        greeting: Greeting,
-        mismatch: VersionMismatch,
-    },
+    Greeting(Greeting),
     Configuring {
         pending: Pending,
         /// The reason of the board's last refusal.
@@ -53,18 +46,14 @@ impl Phase {
 
     pub(crate) const fn greeting(&self) -> Option<&Greeting> {
         match self {
-            Self::Greeting { greeting, .. } | Self::VersionMismatch { greeting, .. } => {
-                Some(greeting)
-            }
+            Self::Greeting(greeting) => Some(greeting),
             _ => None,
         }
     }
 
     pub(crate) const fn greeting_mut(&mut self) -> Option<&mut Greeting> {
         match self {
-            Self::Greeting { greeting, .. } | Self::VersionMismatch { greeting, .. } => {
-                Some(greeting)
-            }
+            Self::Greeting(greeting) => Some(greeting),
             _ => None,
         }
     }
@@ -74,10 +63,13 @@ impl Phase {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Greeting {
     pub(crate) nonce: u32,
+    pub(crate) since_ns: u64,
     pub(crate) next_ns: u64,
     /// The software of the board that seems to have answered. The greeting itself comes back
     /// from a line that echoes; the identity that follows an answer is the board's alone.
     pub(crate) answered: Option<[u8; 3]>,
+    /// A board of another version has answered.
+    pub(crate) mismatch: Option<VersionMismatch>,
 }
 
 /// Numbers that do not repeat from one handshake to the next, so that a late

@@ -1,14 +1,14 @@
 //! What the session makes of the bytes that it receives.
 
 use singletrack_protocol::{
-    Acknowledgement, FrameError, Hello, ImuState, Message, Refusal, RefusalReason, Request,
-    Sequence, Status, TELEMETRY_PERIOD_US, Telemetry, ToHost, UNSOLICITED, VERSION, frame_length,
+    FrameError, Hello, ImuState, Message, RefusalReason, Request, Sequence, Status,
+    TELEMETRY_PERIOD_US, Telemetry, ToHost, UNSOLICITED, VERSION, frame_length,
 };
 
 use crate::{
     clock::{Stamp, StampOutcome},
     drive::NewestTelemetry,
-    event::{Event, QualityWindow, RestartEvidence, TimedTelemetry, VersionMismatch},
+    event::{Event, QualityWindow, RestartEvidence, TimedTelemetry, VersionMismatch, Wake},
     handshake::{Pending, Phase, SLOW_RETRY_NS},
     session::Session,
 };
@@ -22,6 +22,7 @@ impl Session {
         if matches!(self.phase, Phase::Disconnected) {
             return;
         }
+        let wake = &mut Wake { now_ns, on_event };
         for &byte in bytes {
             let Some(outcome) = self.decoder.push(byte) else {
                 continue;
@@ -32,7 +33,7 @@ impl Session {
                     self.quality.good(now_ns);
                     self.counters.frames_received += 1;
                     match message {
-                        Ok(message) => self.message(now_ns, message, on_event),
+                        Ok(message) => self.message(message, wake),
                         // Messages of another version need not be decoded.
                         Err(_) if !self.phase.is_connected() => self.counters.frames_ignored += 1,
                         Err(_) => self.counters.decode_errors += 1,
@@ -50,9 +51,9 @@ impl Session {
         }
     }
 
-    fn message(&mut self, now_ns: u64, message: ToHost, on_event: &mut impl FnMut(Event)) {
+    fn message(&mut self, message: ToHost, wake: &mut Wake<'_>) {
         if let ToHost::Hello(hello) = message {
-            return self.hello(now_ns, &hello, on_event);
+            return self.hello(&hello, wake);
         }
         if !self.phase.is_connected() {
             let answered = self.phase.greeting().and_then(|greeting| greeting.answered);
@@ -61,28 +62,34 @@ impl Session {
                 self.counters.frames_ignored += 1;
                 return;
             };
-            self.connected(now_ns, software_version, on_event);
+            self.connected(software_version, wake);
         }
-        self.last_heard_ns = self.last_heard_ns.max(now_ns);
+        self.last_heard_ns = self.last_heard_ns.max(wake.now_ns);
         match message {
             ToHost::Hello(_) => {}
-            ToHost::Telemetry(telemetry) => self.telemetry(now_ns, telemetry, on_event),
-            ToHost::Status(status) => self.status(now_ns, &status, on_event),
-            ToHost::Acknowledgement(yes) => self.acknowledgement(now_ns, &yes, on_event),
-            ToHost::Refusal(no) => self.refusal(now_ns, &no, on_event),
-            ToHost::Identity(identity) => on_event(Event::Identified {
+            ToHost::Telemetry(telemetry) => self.telemetry(telemetry, wake),
+            ToHost::Status(status) => self.status(&status, wake),
+            ToHost::Acknowledgement(yes) => {
+                self.answered(
+                    (yes.request, yes.sequence),
+                    Ok(yes.configuration_hash),
+                    wake,
+                );
+            }
+            ToHost::Refusal(no) => self.answered((no.request, no.sequence), Err(no.reason), wake),
+            ToHost::Identity(identity) => wake.tell(Event::Identified {
                 car_id: identity.car_id,
             }),
         }
     }
 
-    fn hello(&mut self, now_ns: u64, hello: &Hello, on_event: &mut impl FnMut(Event)) {
+    fn hello(&mut self, hello: &Hello, wake: &mut Wake<'_>) {
         if hello.nonce == UNSOLICITED {
             if self.acquainted {
-                self.restarted(now_ns, RestartEvidence::Announced, on_event);
+                self.restarted(RestartEvidence::Announced, wake);
             } else if let Some(greeting) = self.phase.greeting_mut() {
                 // The board has just begun to listen.
-                greeting.next_ns = now_ns;
+                greeting.next_ns = wake.now_ns;
                 greeting.answered = None;
             }
             return;
@@ -92,224 +99,155 @@ impl Session {
                 if hello.protocol_version == VERSION {
                     greeting.answered = Some(hello.software_version);
                 } else {
-                    self.version_mismatch(now_ns, hello, on_event);
+                    self.version_mismatch(hello, wake);
                 }
             }
             _ => self.counters.frames_ignored += 1,
         }
     }
 
-    fn connected(
-        &mut self,
-        now_ns: u64,
-        board_software_version: [u8; 3],
-        on_event: &mut impl FnMut(Event),
-    ) {
+    fn connected(&mut self, board_software_version: [u8; 3], wake: &mut Wake<'_>) {
         if !self.acquainted {
             // The bytes of a bootloader say nothing about the line.
             self.quality = QualityWindow::default();
         }
         self.acquainted = true;
-        self.last_heard_ns = now_ns;
+        self.last_heard_ns = wake.now_ns;
         if let Some(stop) = &mut self.stop {
-            stop.hurry(now_ns);
+            stop.hurry(wake.now_ns);
         }
-        self.phase = Phase::configuring(self.take_request_number(), now_ns);
-        on_event(Event::Connected {
+        self.phase = Phase::configuring(self.take_request_number(), wake.now_ns);
+        wake.tell(Event::Connected {
             board_software_version,
         });
     }
 
-    fn version_mismatch(&mut self, now_ns: u64, hello: &Hello, on_event: &mut impl FnMut(Event)) {
+    fn version_mismatch(&mut self, hello: &Hello, wake: &mut Wake<'_>) {
         let mismatch = VersionMismatch {
             board_protocol: hello.protocol_version,
             board_software: hello.software_version,
             host_software: self.config.software_version,
         };
-        let known = match self.phase {
-            Phase::VersionMismatch { mismatch, .. } => Some(mismatch),
-            _ => None,
-        };
         self.acquainted = false;
-        if let Some(&greeting) = self.phase.greeting() {
-            let mut greeting = greeting;
-            greeting.next_ns = now_ns.saturating_add(SLOW_RETRY_NS);
-            self.phase = Phase::VersionMismatch { greeting, mismatch };
-        }
-        if known != Some(mismatch) {
-            on_event(Event::VersionMismatch(mismatch));
+        let Some(greeting) = self.phase.greeting_mut() else {
+            return;
+        };
+        greeting.next_ns = wake.now_ns.saturating_add(SLOW_RETRY_NS);
+        if greeting.mismatch.replace(mismatch) != Some(mismatch) {
+            wake.tell(Event::VersionMismatch(mismatch));
         }
     }
 
-    fn restarted(
-        &mut self,
-        now_ns: u64,
-        evidence: RestartEvidence,
-        on_event: &mut impl FnMut(Event),
-    ) {
+    fn restarted(&mut self, evidence: RestartEvidence, wake: &mut Wake<'_>) {
         self.counters.board_restarts += 1;
         self.acquainted = false;
-        self.greet(now_ns);
-        on_event(Event::BoardRestarted { evidence });
+        self.greet(wake.now_ns);
+        wake.tell(Event::BoardRestarted { evidence });
     }
 
-    fn acknowledgement(
+    /// The board has carried out a request, with this hash of its configuration, or refuses it.
+    fn answered(
         &mut self,
-        now_ns: u64,
-        yes: &Acknowledgement,
-        on_event: &mut impl FnMut(Event),
+        (request, sequence): (Request, Sequence),
+        answer: Result<u32, RefusalReason>,
+        wake: &mut Wake<'_>,
     ) {
-        match yes.request {
-            Request::Configure => match self.phase {
-                Phase::Configuring { pending, .. } if pending.sequence == yes.sequence => {
-                    if yes.configuration_hash == self.configuration_hash {
-                        self.phase = Phase::Ready;
-                        on_event(Event::ConfigurationAccepted {
-                            hash: self.configuration_hash,
-                        });
-                    } else {
-                        let reason = RefusalReason::ConfigurationDiffers;
-                        self.configuration_refused(now_ns, reason, on_event);
-                    }
-                }
-                _ => self.counters.frames_ignored += 1,
-            },
-            Request::Arm => match self.arm {
-                Some(arm) if arm.sequence == yes.sequence => self.armed(on_event),
-                _ => self.counters.frames_ignored += 1,
-            },
-            Request::Disarm | Request::EmergencyStop => {
-                self.stop_answered(yes.request, yes.sequence, None, on_event);
-            }
-        }
-    }
-
-    fn refusal(&mut self, now_ns: u64, no: &Refusal, on_event: &mut impl FnMut(Event)) {
-        let &Refusal {
-            request,
-            sequence,
-            reason,
-        } = no;
-        match request {
-            Request::Configure => match self.phase {
-                Phase::Configuring { pending, .. } if pending.sequence == sequence => {
-                    self.configuration_refused(now_ns, reason, on_event);
-                }
-                _ => self.counters.frames_ignored += 1,
-            },
-            Request::Arm => {
-                if self.arm.take_if(|arm| arm.sequence == sequence).is_none() {
-                    self.counters.frames_ignored += 1;
-                    return;
-                }
-                on_event(Event::Refused {
-                    request,
-                    sequence,
-                    reason,
-                });
-                if reason == RefusalReason::NotConfigured
-                    || reason == RefusalReason::ConfigurationDiffers
+        let is_awaited = match request {
+            Request::Configure => {
+                if let Phase::Configuring { pending, .. } = self.phase
+                    && pending.sequence == sequence
                 {
-                    self.restarted(now_ns, RestartEvidence::ConfigurationGone, on_event);
+                    return self.configure_answered(answer, wake);
                 }
+                false
             }
+            Request::Arm => self.arm.take_if(|arm| arm.sequence == sequence).is_some(),
             Request::Disarm | Request::EmergencyStop => {
-                self.stop_answered(request, sequence, Some(reason), on_event);
+                let stop = self.stop.as_mut();
+                stop.is_some_and(|stop| stop.answer(request, sequence))
             }
+        };
+        if !is_awaited {
+            self.counters.frames_ignored += 1;
+            return;
+        }
+        wake.tell(match answer {
+            Ok(_) => Event::Acknowledged { request, sequence },
+            Err(reason) => Event::Refused {
+                request,
+                sequence,
+                reason,
+            },
+        });
+        if let (Request::Arm, Err(reason)) = (request, answer)
+            && (reason == RefusalReason::NotConfigured
+                || reason == RefusalReason::ConfigurationDiffers)
+        {
+            self.restarted(RestartEvidence::ConfigurationGone, wake);
         }
     }
 
-    fn configuration_refused(
-        &mut self,
-        now_ns: u64,
-        reason: RefusalReason,
-        on_event: &mut impl FnMut(Event),
-    ) {
+    fn configure_answered(&mut self, answer: Result<u32, RefusalReason>, wake: &mut Wake<'_>) {
+        let reason = match answer {
+            Ok(hash) if hash == self.configuration_hash => {
+                self.phase = Phase::Ready;
+                return wake.tell(Event::ConfigurationAccepted { hash });
+            }
+            Ok(_) => RefusalReason::ConfigurationDiffers,
+            Err(reason) => reason,
+        };
         let known = match self.phase {
             Phase::Configuring { refused, .. } => refused,
             _ => None,
         };
+        let again_ns = wake.now_ns.saturating_add(SLOW_RETRY_NS);
         self.phase = Phase::Configuring {
-            pending: Pending::new(
-                self.take_request_number(),
-                now_ns.saturating_add(SLOW_RETRY_NS),
-            ),
+            pending: Pending::new(self.take_request_number(), again_ns),
             refused: Some(reason),
         };
         if known != Some(reason) {
-            on_event(Event::ConfigurationRefused { reason });
+            wake.tell(Event::ConfigurationRefused { reason });
         }
     }
 
-    fn armed(&mut self, on_event: &mut impl FnMut(Event)) {
-        if let Some(arm) = self.arm.take() {
-            on_event(Event::Acknowledged {
-                request: Request::Arm,
-                sequence: arm.sequence,
-            });
-        }
-    }
-
-    fn stop_answered(
-        &mut self,
-        request: Request,
-        sequence: Sequence,
-        refused: Option<RefusalReason>,
-        on_event: &mut impl FnMut(Event),
-    ) {
-        let first = self
-            .stop
-            .as_mut()
-            .is_some_and(|stop| stop.answer(request, sequence));
-        match refused {
-            _ if !first => self.counters.frames_ignored += 1,
-            Some(reason) => on_event(Event::Refused {
-                request,
-                sequence,
-                reason,
-            }),
-            None => on_event(Event::Acknowledged { request, sequence }),
-        }
-    }
-
-    fn telemetry(&mut self, now_ns: u64, telemetry: Telemetry, on_event: &mut impl FnMut(Event)) {
-        let stamp = match self
-            .clock
-            .observe(self.leaving_time_ns(now_ns), telemetry.board_time_us)
-        {
+    fn telemetry(&mut self, telemetry: Telemetry, wake: &mut Wake<'_>) {
+        let left_ns = self.leaving_time_ns(wake.now_ns);
+        let stamp = match self.clock.observe(left_ns, telemetry.board_time_us) {
             StampOutcome::Mapped(stamp) => stamp,
             StampOutcome::Implausible => {
                 self.counters.telemetry_implausible += 1;
                 return;
             }
             StampOutcome::Restarted => {
-                return self.restarted(now_ns, RestartEvidence::ClockRestarted, on_event);
+                return self.restarted(RestartEvidence::ClockRestarted, wake);
             }
         };
         self.counters.telemetry_missing += missing_before(&stamp);
-        self.latency.echoed(now_ns, telemetry.last_sequence);
+        self.latency.echoed(wake.now_ns, telemetry.last_sequence);
         self.newest = Some(NewestTelemetry {
             mode: telemetry.mode,
             last_sequence: telemetry.last_sequence,
             board_time_us: telemetry.board_time_us,
             host_time_ns: stamp.host_time_ns,
         });
-        on_event(Event::Telemetry(TimedTelemetry {
+        wake.tell(Event::Telemetry(TimedTelemetry {
             telemetry,
-            receive_time_ns: now_ns,
+            receive_time_ns: wake.now_ns,
             board_time_host_ns: stamp.host_time_ns,
             imu_time_host_ns: self.imu_time_ns(&telemetry, stamp.host_time_ns),
         }));
         // The acknowledgement may have been lost. Waiting for it would send the
         // request again, and would arm a board that has stopped itself meanwhile.
-        if telemetry.mode.is_armed() && self.arm.is_some_and(|arm| arm.was_sent()) {
-            self.armed(on_event);
+        let is_armed = telemetry.mode.is_armed();
+        if let Some(arm) = self.arm.take_if(|arm| is_armed && arm.was_sent()) {
+            wake.tell(Event::Acknowledged {
+                request: Request::Arm,
+                sequence: arm.sequence,
+            });
         }
-        if let Some(stop) = self
-            .stop
-            .take_if(|stop| stop.is_confirmed_by(telemetry.mode))
-        {
-            on_event(Event::StopConfirmed {
+        let mode = telemetry.mode;
+        if let Some(stop) = self.stop.take_if(|stop| stop.is_confirmed_by(mode)) {
+            wake.tell(Event::StopConfirmed {
                 request: stop.kind.request(),
             });
         }
@@ -335,13 +273,13 @@ impl Session {
         Some(time_ns)
     }
 
-    fn status(&mut self, now_ns: u64, status: &Status, on_event: &mut impl FnMut(Event)) {
+    fn status(&mut self, status: &Status, wake: &mut Wake<'_>) {
         self.board_quality.observe(status);
-        on_event(Event::Status(*status));
+        wake.tell(Event::Status(*status));
         if matches!(self.phase, Phase::Ready)
             && status.configuration_hash != self.configuration_hash
         {
-            self.restarted(now_ns, RestartEvidence::ConfigurationGone, on_event);
+            self.restarted(RestartEvidence::ConfigurationGone, wake);
         }
     }
 }

@@ -88,7 +88,7 @@ impl Session {
             last_heard_ns: 0,
             arm: None,
             stop: None,
-            clock: BoardClock::new(),
+            clock: BoardClock::default(),
             last_imu_time_ns: 0,
             newest: None,
             last_drive: Sequence(first_drive),
@@ -140,12 +140,7 @@ impl Session {
     ///
     /// The board can't be asked now. Nothing is kept for later.
     pub fn arm(&mut self, now_ns: u64) -> Result<Sequence, NotReady> {
-        if !matches!(self.phase, Phase::Ready) {
-            return Err(NotReady::NotConfigured);
-        }
-        if self.stop.is_some() {
-            return Err(NotReady::StopPending);
-        }
+        self.takes_commands()?;
         if self.arm.is_some() {
             return Err(NotReady::ArmPending);
         }
@@ -227,14 +222,20 @@ impl Session {
         Ok(self.command(now_ns, sequence, message.into()))
     }
 
-    /// Number and telemetry of a command that leads to `mode`.
-    fn next_command(&self, mode: BoardMode) -> Result<(Sequence, NewestTelemetry), NotReady> {
+    /// Whether the board may be asked to drive.
+    fn takes_commands(&self) -> Result<(), NotReady> {
         if !matches!(self.phase, Phase::Ready) {
             return Err(NotReady::NotConfigured);
         }
-        if self.stop.is_some() {
-            return Err(NotReady::StopPending);
+        match self.stop {
+            Some(_) => Err(NotReady::StopPending),
+            None => Ok(()),
         }
+    }
+
+    /// Number and telemetry of a command that leads to `mode`.
+    fn next_command(&self, mode: BoardMode) -> Result<(Sequence, NewestTelemetry), NotReady> {
+        self.takes_commands()?;
         let newest = self.newest.ok_or(NotReady::NoTelemetry)?;
         if newest.mode != BoardMode::Armed && newest.mode != mode {
             return Err(NotReady::NotArmed { mode: newest.mode });
@@ -256,8 +257,12 @@ impl Session {
     pub fn state(&self) -> State {
         match self.phase {
             Phase::Disconnected => State::Disconnected,
-            Phase::Greeting { since_ns, .. } => State::Greeting { since_ns },
-            Phase::VersionMismatch { mismatch, .. } => State::VersionMismatch(mismatch),
+            Phase::Greeting(greeting) => match greeting.mismatch {
+                Some(mismatch) => State::VersionMismatch(mismatch),
+                None => State::Greeting {
+                    since_ns: greeting.since_ns,
+                },
+            },
             Phase::Configuring { refused: None, .. } => State::Configuring,
             Phase::Configuring {
                 refused: Some(reason),
@@ -336,14 +341,13 @@ impl Session {
     /// Begins the handshake: nothing that was known of the board is valid any more.
     pub(crate) fn greet(&mut self, now_ns: u64) {
         self.forget_board();
-        self.phase = Phase::Greeting {
-            greeting: Greeting {
-                nonce: self.nonces.next(),
-                next_ns: now_ns,
-                answered: None,
-            },
+        self.phase = Phase::Greeting(Greeting {
+            nonce: self.nonces.next(),
             since_ns: now_ns,
-        };
+            next_ns: now_ns,
+            answered: None,
+            mismatch: None,
+        });
     }
 
     fn forget_board(&mut self) {
@@ -371,19 +375,6 @@ pub enum ConfigureError {
 pub struct Transmit(heapless::Vec<u8, { MAX_FRAME_LENGTH + 1 }>);
 
 impl Transmit {
-    fn frame(frame: &Frame) -> Self {
-        Self(frame.as_bytes().iter().copied().collect())
-    }
-
-    /// The frame after a zero, which ends a frame that the board has received in part.
-    fn after_zero(frame: &Frame) -> Self {
-        Self(
-            core::iter::once(0)
-                .chain(frame.as_bytes().iter().copied())
-                .collect(),
-        )
-    }
-
     /// The bytes.
     pub fn as_bytes(&self) -> &[u8] {
         &self.0
@@ -397,12 +388,16 @@ impl Session {
     /// matters. At most three frames are due at a time, however late the call: a stop,
     /// a greeting or configuration, and a request to arm.
     pub fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
-        let transmit = self
+        let message = self
             .due_stop(now_ns)
             .or_else(|| self.due_handshake(now_ns))
             .or_else(|| self.due_arm(now_ns))?;
         self.counters.frames_sent += 1;
-        Some(transmit)
+        // A zero ends a frame that the board has received in part.
+        let zero = matches!(message, ToBoard::Hello(_)).then_some(0);
+        let frame = message.encode();
+        let bytes = zero.into_iter().chain(frame.as_bytes().iter().copied());
+        Some(Transmit(bytes.collect()))
     }
 
     /// When [`handle_timeout`](Self::handle_timeout) and
@@ -411,9 +406,7 @@ impl Session {
     pub fn poll_timeout(&self) -> Option<u64> {
         let handshake = match &self.phase {
             Phase::Disconnected => return None,
-            Phase::Greeting { greeting, .. } | Phase::VersionMismatch { greeting, .. } => {
-                Some(greeting.next_ns)
-            }
+            Phase::Greeting(greeting) => Some(greeting.next_ns),
             Phase::Configuring { pending, .. } => Some(pending.deadline_ns()),
             Phase::Ready => None,
         };
@@ -467,30 +460,29 @@ impl Session {
         self.phase.is_connected() || (self.acquainted && self.phase.greeting().is_some())
     }
 
-    fn due_stop(&mut self, now_ns: u64) -> Option<Transmit> {
+    fn due_stop(&mut self, now_ns: u64) -> Option<ToBoard> {
         if !self.may_send_stop() {
             return None;
         }
-        let message = self.stop.as_mut()?.take_due(now_ns)?;
-        Some(Transmit::frame(&message.encode()))
+        self.stop.as_mut()?.take_due(now_ns)
     }
 
-    fn due_handshake(&mut self, now_ns: u64) -> Option<Transmit> {
-        let interval_ns = match self.phase {
-            Phase::VersionMismatch { .. } => SLOW_RETRY_NS,
-            _ => HELLO_INTERVAL_NS,
-        };
+    fn due_handshake(&mut self, now_ns: u64) -> Option<ToBoard> {
         if let Some(greeting) = self.phase.greeting_mut() {
             if now_ns < greeting.next_ns {
                 return None;
             }
+            let interval_ns = match greeting.mismatch {
+                Some(_) => SLOW_RETRY_NS,
+                None => HELLO_INTERVAL_NS,
+            };
             greeting.next_ns = now_ns.saturating_add(interval_ns);
             let hello = Hello {
                 protocol_version: VERSION,
                 software_version: self.config.software_version,
                 nonce: greeting.nonce,
             };
-            return Some(Transmit::after_zero(&ToBoard::from(hello).encode()));
+            return Some(hello.into());
         }
         if let Phase::Configuring { pending, .. } = &mut self.phase
             && pending.take_due(now_ns)
@@ -499,12 +491,12 @@ impl Session {
                 request: pending.sequence,
                 configuration: self.config.configuration,
             };
-            return Some(Transmit::frame(&ToBoard::from(configure).encode()));
+            return Some(configure.into());
         }
         None
     }
 
-    fn due_arm(&mut self, now_ns: u64) -> Option<Transmit> {
+    fn due_arm(&mut self, now_ns: u64) -> Option<ToBoard> {
         let newest = self.newest?;
         let arm = self.arm.as_mut()?;
         if !arm.take_due(now_ns) {
@@ -515,6 +507,6 @@ impl Session {
             configuration_hash: self.configuration_hash,
             telemetry_time_us: newest.board_time_us,
         };
-        Some(Transmit::frame(&ToBoard::from(message).encode()))
+        Some(message.into())
     }
 }

@@ -24,7 +24,7 @@ const START_NS: u64 = 1_000_000_000_000;
 impl Bench {
     fn new(skew: f64, first_us: u32, jitter_ns: u64, seed: u64) -> Self {
         Self {
-            clock: BoardClock::new(),
+            clock: BoardClock::default(),
             noise: Random::new(seed),
             host_ns: START_NS,
             board_us: f64::from(first_us),
@@ -214,7 +214,7 @@ fn one_impossible_stamp_is_dropped_and_two_mean_a_restart() {
 
 #[test]
 fn a_delay_of_the_first_record_does_not_shift_later_ones() {
-    let mut clock = BoardClock::new();
+    let mut clock = BoardClock::default();
     // The first record was held up for 50 ms; the second one shows it.
     let first = clock.observe(START_NS + 50_000_000, 0);
     let second = clock.observe(START_NS + 50_000_001, 10_000);
@@ -241,7 +241,7 @@ proptest! {
     fn stamps_never_run_backwards_nor_ahead_of_their_arrival(
         steps in prop::collection::vec((0_u64..400_000_000, any::<u32>(), any::<bool>()), 1..300),
     ) {
-        let mut clock = BoardClock::new();
+        let mut clock = BoardClock::default();
         let (mut now_ns, mut board_us, mut last_ns) = (0_u64, 0_u32, 0_u64);
         for (elapsed_ns, random, sane) in steps {
             now_ns += elapsed_ns;

@@ -24,8 +24,8 @@ use std::{
 };
 
 use singletrack_mocap::{
-    BodyState, DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, DatagramOutcome,
-    NameText, PoseFrame, PoseSource as _, Session, SessionConfig, SessionEvent, Transport, UpAxis,
+    BodyState, DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, Input, NameText,
+    Output, PoseFrame, PoseSource as _, Session, SessionConfig, Transport, UpAxis,
     codec::{BitstreamVersion, MAX_DATAGRAM_LEN},
 };
 
@@ -172,54 +172,62 @@ pub(crate) fn run(options: &Options, out: &mut impl Write) -> Result<(), Box<dyn
             let (sender, stop) = (sender.clone(), &stop);
             scope.spawn(move || read(socket, clock, stop, &sender));
         }
-        let result = Client {
-            session,
+        let client = Client {
             names: BTreeMap::new(),
             frames: 0,
-        }
-        .run(options.frames, command, clock, &arrivals, out);
+            out,
+        };
+        let result = client.run(session, options.frames, command, clock, &arrivals);
         stop.store(true, Ordering::Relaxed);
         result
     })
 }
 
-struct Client {
-    session: Session,
+struct Client<W> {
     /// The bodies' names by their streaming ids.
     names: BTreeMap<i32, String>,
     frames: u64,
+    out: W,
 }
 
-impl Client {
+impl<W: Write> Client<W> {
     fn run(
         mut self,
+        mut session: Session,
         frames: Option<u64>,
         command: &UdpSocket,
         clock: Clock,
         arrivals: &Receiver<Arrival>,
-        out: &mut impl Write,
     ) -> Result<(), Box<dyn Error>> {
         let mut waiting: Option<Arrival> = None;
         loop {
             // 1. What has arrived, oldest first.
             for arrival in waiting.take().into_iter().chain(arrivals.try_iter()) {
-                self.receive(&arrival, out)?;
+                let input = Input::Datagram {
+                    source: arrival.source,
+                    bytes: &arrival.datagram,
+                };
+                let mut result = Ok(());
+                session.handle_input(arrival.time_ns, input, &mut |output| {
+                    result = self.take(&output);
+                });
+                result?;
             }
             // 2. What did not arrive.
             let now_ns = clock.now_ns();
-            self.session.handle_timeout(now_ns, &mut log);
+            session.handle_timeout(now_ns, &mut |output| eprintln!("{output:?}"));
             if frames.is_some_and(|frames| self.frames >= frames) {
-                self.session.close();
+                session.close();
             }
             // 3. What is due to be sent.
-            while let Some(transmit) = self.session.poll_transmit(now_ns) {
+            while let Some(transmit) = session.poll_transmit(now_ns) {
                 // The session repeats what matters.
                 if let Err(error) = command.send_to(&transmit.bytes, transmit.destination) {
                     eprintln!("can't send to {}: {error}", transmit.destination);
                 }
             }
             // 4. When to wake up. A closed session has no deadline.
-            let Some(deadline_ns) = self.session.poll_timeout() else {
+            let Some(deadline_ns) = session.poll_timeout() else {
                 return Ok(());
             };
             let wait = Duration::from_nanos(deadline_ns.saturating_sub(now_ns));
@@ -227,31 +235,24 @@ impl Client {
         }
     }
 
-    fn receive(&mut self, arrival: &Arrival, out: &mut impl Write) -> io::Result<()> {
-        let outcome = self.session.handle_datagram(
-            arrival.time_ns,
-            arrival.source,
-            &arrival.datagram,
-            &mut log,
-        );
-        match outcome {
-            DatagramOutcome::Definitions(definitions) => {
-                self.names = definitions
-                    .rigid_bodies()
-                    .map(|body| (body.id, NameText(body.name).to_string()))
-                    .collect();
+    fn take(&mut self, output: &Output<'_>) -> io::Result<()> {
+        match output {
+            Output::Names(names) => {
+                self.names.clear();
+                names.for_each(&mut |id, name| {
+                    self.names.insert(id, NameText(name).to_string());
+                });
             }
-            DatagramOutcome::Frame(frame) => {
+            Output::Frame(frame) => {
                 self.frames += 1;
-                self.print(&frame, out)?;
+                self.print(frame)?;
             }
-            DatagramOutcome::Malformed(error) => eprintln!("{error}"),
-            _ => {}
+            Output::Event(event) => eprintln!("{event:?}"),
         }
         Ok(())
     }
 
-    fn print(&self, frame: &PoseFrame<'_>, out: &mut impl Write) -> io::Result<()> {
+    fn print(&mut self, frame: &PoseFrame<'_>) -> io::Result<()> {
         let time = frame.capture.map_or_else(
             || "no time".to_owned(),
             |capture| {
@@ -268,26 +269,22 @@ impl Client {
                 Some(name) if frame.definitions_current => name,
                 _ => "?",
             };
-            write!(out, "{time}  {name} ({})  ", body.id)?;
+            write!(self.out, "{time}  {name} ({})  ", body.id)?;
             match body.state {
                 BodyState::Tracked(pose) => {
                     let [x, y, z] = pose.position_m;
                     let [qx, qy, qz, qw] = pose.orientation_xyzw;
                     writeln!(
-                        out,
+                        self.out,
                         "{x:.4} {y:.4} {z:.4} m  {qx:.4} {qy:.4} {qz:.4} {qw:.4}"
                     )?;
                 }
-                BodyState::Untracked => writeln!(out, "not tracked")?,
-                BodyState::Invalid(reason) => writeln!(out, "{reason}")?,
+                BodyState::Untracked => writeln!(self.out, "not tracked")?,
+                BodyState::Invalid(reason) => writeln!(self.out, "{reason}")?,
             }
         }
         Ok(())
     }
-}
-
-fn log(event: SessionEvent) {
-    eprintln!("{event:?}");
 }
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -214,23 +214,6 @@ pub struct CaptureTime {
     pub source: CaptureTimeSource,
 }
 
-impl CaptureTime {
-    /// The capture of a frame that arrived at `now_ns`, less a constant error of the stamps: never
-    /// after it arrived, with whether it had to be moved back for that. `None` if it exceeds the
-    /// arrival by more than its uncertainty.
-    pub(crate) const fn at_arrival(mut self, now_ns: u64, offset_ns: i64) -> Option<(Self, bool)> {
-        self.time_ns = self.time_ns.saturating_sub_signed(offset_ns);
-        if self.time_ns <= now_ns {
-            return Some((self, false));
-        }
-        if self.time_ns - now_ns > self.uncertainty_ns {
-            return None;
-        }
-        self.time_ns = now_ns;
-        Some((self, true))
-    }
-}
-
 words! {
     /// How a capture time was found, best first.
     ///

@@ -67,7 +67,6 @@ pub enum Protocol {
 
 impl Protocol {
     /// The server's port, unless configured otherwise.
-    #[must_use]
     pub const fn default_port(self) -> u16 {
         match self {
             Self::NatNet => DEFAULT_COMMAND_PORT,
@@ -159,7 +158,6 @@ pub enum SessionConfigError {
 
 impl SessionConfig {
     /// A configuration with the default command port, tolerance and timing.
-    #[must_use]
     pub fn new(server: IpAddr, transport: Transport, up_axis: UpAxis) -> Self {
         Self {
             server,

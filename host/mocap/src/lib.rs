@@ -27,11 +27,8 @@
 //!
 //! The order matters: without step 1 first, an owner that is late takes its own
 //! delay for silence of the other side. Nothing happens before the time of step 4.
-//! The handlers pass what happened to the callback `on_event`, in order and before
+//! The handlers pass what happened to the callback `on_output`, in order and before
 //! they return. Nothing waits in a queue, so no burst of input can lose an event.
-//!
-//! Here a datagram holds one message: [`Session::handle_datagram`] returns what
-//! became of it, and with it the frame's poses.
 //!
 //! # Example
 //!
@@ -39,7 +36,7 @@
 //!
 //! ```
 //! use std::net::SocketAddr;
-//! use singletrack_mocap::{BodyState, DatagramOutcome, Session, SessionEvent};
+//! use singletrack_mocap::{BodyState, Input, Output, PoseSource, Session};
 //!
 //! fn wake_up<'b>(
 //!     session: &mut Session,
@@ -47,18 +44,20 @@
 //!     received: impl IntoIterator<Item = (SocketAddr, &'b [u8])>,
 //!     mut send: impl FnMut(SocketAddr, &[u8]),
 //! ) -> Option<u64> {
-//!     let on_event = &mut |event: SessionEvent| println!("{event:?}");
-//!     for (source, datagram) in received {
-//!         let outcome = session.handle_datagram(now_ns, source, datagram, on_event);
-//!         if let DatagramOutcome::Frame(frame) = outcome {
+//!     let on_output = &mut |output: Output<'_>| match output {
+//!         Output::Frame(frame) => {
 //!             for body in frame.bodies() {
 //!                 if let BodyState::Tracked(pose) = body.state {
 //!                     println!("{}: {:?} m", body.id, pose.position_m);
 //!                 }
 //!             }
 //!         }
+//!         other => println!("{other:?}"),
+//!     };
+//!     for (source, bytes) in received {
+//!         session.handle_input(now_ns, Input::Datagram { source, bytes }, on_output);
 //!     }
-//!     session.handle_timeout(now_ns, on_event);
+//!     session.handle_timeout(now_ns, on_output);
 //!     while let Some(transmit) = session.poll_transmit(now_ns) {
 //!         send(transmit.destination, &transmit.bytes);
 //!     }
@@ -99,11 +98,11 @@ pub use config::{
     SessionConfigError, Timing, Transport,
 };
 pub use names::{Binding, BodyNames, NameText, Names};
-pub use pose_source::{Input, LocalEnd, Output, PoseSource, Stream};
-pub use session::{
-    Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, Session, SessionCounters,
-    SessionEvent, Transmit,
+pub use pose_source::{
+    Connected, Input, LocalEnd, Output, Phase, PoseFrame, PoseSource, RestartReason,
+    SessionCounters, SessionEvent, Stream, Transmit,
 };
+pub use session::Session;
 pub use source::Source;
 pub use stream::StreamSession;
 // The names by which the workspace's other crates know what is recorded of `planar`.

@@ -1,6 +1,9 @@
 //! The names that the servers of each protocol give bodies, and the streaming id of a body's name.
 
-use core::{fmt, fmt::Write as _};
+use core::{
+    fmt::{self, Write as _},
+    ops::Range,
+};
 
 use crate::codec::ModelDefinitions;
 
@@ -31,12 +34,6 @@ impl Names<'_> {
     }
 }
 
-impl<'a> From<ModelDefinitions<'a>> for Names<'a> {
-    fn from(definitions: ModelDefinitions<'a>) -> Self {
-        Self::Definitions(definitions)
-    }
-}
-
 /// What the model definitions say of a rigid body's name.
 ///
 /// This enum is exhaustive: every user must decide what each case means to it.
@@ -63,8 +60,8 @@ pub enum Binding {
 pub struct BodyNames {
     /// The first names, each quoted, after commas.
     listed: heapless::String<240>,
-    /// The streaming id of each listed name, and where the name ends in `listed`.
-    ids: heapless::Vec<(i32, u8), 60>,
+    /// The streaming id of each listed name, and where the name is in `listed`.
+    ids: heapless::Vec<(i32, Range<usize>), 60>,
     /// How many are not listed for want of room.
     omitted: usize,
 }
@@ -76,7 +73,6 @@ pub struct NameText<'a>(pub &'a [u8]);
 
 impl NameText<'_> {
     /// Whether all of it is text.
-    #[must_use]
     pub const fn is_utf8(&self) -> bool {
         core::str::from_utf8(self.0).is_ok()
     }
@@ -103,9 +99,6 @@ impl fmt::Display for NameText<'_> {
     }
 }
 
-/// Between two names in the list.
-const SEPARATOR: &str = ", ";
-
 impl BodyNames {
     pub(crate) fn of(bodies: &Names<'_>) -> Self {
         let mut names = Self::default();
@@ -114,46 +107,34 @@ impl BodyNames {
     }
 
     fn list(&mut self, id: i32, name: &[u8]) {
-        let separator = if self.listed.is_empty() {
-            ""
-        } else {
-            SEPARATOR
-        };
+        let separator = if self.listed.is_empty() { "" } else { ", " };
         let room = self.listed.capacity() - self.listed.len();
         let mut text = heapless::String::<320>::new();
         let fits = write!(text, "{separator}{:?}", NameText(name)).is_ok();
         let is_room = fits && text.len() <= room && !self.ids.is_full();
-        let end = u8::try_from(self.listed.len() + text.len());
-        if let (0, true, Ok(end)) = (self.omitted, is_room, end) {
+        if self.omitted == 0 && is_room {
+            let begin = self.listed.len() + separator.len();
             // Both have room: see above.
             let _ = self.listed.push_str(&text);
-            let _ = self.ids.push((id, end));
+            let _ = self.ids.push((id, begin..self.listed.len()));
         } else {
             self.omitted += 1;
         }
     }
 
     /// The quoted name of the body with this streaming id; none if it is not listed.
-    #[must_use]
     pub fn name(&self, id: i32) -> Option<&str> {
-        let index = self.ids.iter().position(|(known, _)| *known == id)?;
-        let (_, end) = self.ids.get(index)?;
-        let begin = match index.checked_sub(1).and_then(|last| self.ids.get(last)) {
-            Some((_, end)) => usize::from(*end) + SEPARATOR.len(),
-            None => 0,
-        };
-        self.listed.get(begin..usize::from(*end))
+        let (_, place) = self.ids.iter().find(|(known, _)| *known == id)?;
+        self.listed.get(place.clone())
     }
 
     /// The streaming id of the body with this quoted name, if it is listed.
-    #[must_use]
     pub fn id(&self, quoted: &str) -> Option<i32> {
         let ids = self.ids.iter().map(|(id, _)| *id);
         ids.into_iter().find(|id| self.name(*id) == Some(quoted))
     }
 
     /// Whether the server has no rigid body.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.listed.is_empty() && self.omitted == 0
     }
@@ -171,7 +152,6 @@ impl fmt::Display for BodyNames {
 
 impl Binding {
     /// Looks the name up among those of the server.
-    #[must_use]
     pub fn resolve(bodies: &Names<'_>, name: &str) -> Self {
         let (mut first, mut count) = (0, 0);
         bodies.for_each(&mut |id, other| {
@@ -190,7 +170,6 @@ impl Binding {
     }
 
     /// The streaming id, if exactly one body has the name.
-    #[must_use]
     pub const fn id(self) -> Option<i32> {
         match self {
             Self::Bound { id } => Some(id),
@@ -285,7 +264,6 @@ pub struct BodyList<'a> {
 
 impl<'a> BodyList<'a> {
     /// The names in this XML; none if it has no section of bodies.
-    #[must_use]
     pub fn new(xml: &'a [u8]) -> Self {
         let (_, section) = split_once(xml, b"<The_6D>").unwrap_or_default();
         let rest = split_once(section, b"</The_6D>").map_or(section, |(section, _)| section);

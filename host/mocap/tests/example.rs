@@ -39,7 +39,7 @@ fn serve(socket: &UdpSocket) {
         RigidBody::tracked(4, [0.0; 3], [0.0; 4]).with_tracking_valid(false),
     ];
     let datasets = [("wand", 3), ("drone", 4)].map(|(name, id)| {
-        Dataset::rigid_body(RigidBodyDefinition {
+        Dataset::RigidBody(RigidBodyDefinition {
             name: name.as_bytes(),
             id,
             parent_id: -1,

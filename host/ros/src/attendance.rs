@@ -15,7 +15,6 @@ use futures::executor::block_on;
 use singletrack_api::{ClientError, HeldDrive, Reply, Request, ask};
 
 use crate::{
-    arguments::Arguments,
     message::TriggerResponse,
     node::{Node, start},
 };
@@ -160,14 +159,7 @@ fn hold(drive: &mut HeldDrive) -> Result<String, ClientError> {
 
 /// Offers the services `arm`, `disarm` and `stop`, each on a thread of its own: an arm that waits
 /// does not delay a stop.
-pub(crate) fn offer(
-    node: &mut Node,
-    arguments: &Arguments,
-    attendance: &Attendance,
-) -> Result<(), String> {
-    if arguments.publish_only {
-        return Ok(());
-    }
+pub(crate) fn offer(node: &mut Node, attendance: &Attendance) -> Result<(), String> {
     serve(node, "arm", attendance, Attendance::arm)?;
     serve(node, "disarm", attendance, Attendance::disarm)?;
     serve(node, "stop", attendance, Attendance::stop)

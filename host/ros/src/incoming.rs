@@ -42,9 +42,6 @@ pub(crate) fn start(
     attendance: &Attendance,
     tally: &Arc<Tally>,
 ) -> Result<(), String> {
-    if arguments.publish_only {
-        return Ok(());
-    }
     let way = Arc::new(Way {
         judge: Judge {
             max_age: arguments.max_age(),

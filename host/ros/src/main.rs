@@ -66,8 +66,10 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
     let mut node = node::Node::start(arguments)?;
     let car = car::SharedCar::default();
     outgoing::start(&mut node, arguments, &car, &tally)?;
-    incoming::start(&mut node, arguments, &car, &attendance, &tally)?;
-    attendance::offer(&mut node, arguments, &attendance)?;
+    if !arguments.publish_only {
+        incoming::start(&mut node, arguments, &car, &attendance, &tally)?;
+        attendance::offer(&mut node, &attendance)?;
+    }
     diagnostics::start(&mut node, &tally)?;
     node.spin()?;
     tracing::info!(

@@ -250,7 +250,7 @@ impl Network {
                     other.map_or(("other", UNUSED_ID), |body| (body.name.as_str(), body.id));
                 let pairs = [(car.name.as_str(), other.1), (other.0, car.id)];
                 let swapped = pairs.map(|(name, id)| {
-                    Dataset::rigid_body(RigidBodyDefinition {
+                    Dataset::RigidBody(RigidBodyDefinition {
                         name: name.as_bytes(),
                         id,
                         parent_id: -1,

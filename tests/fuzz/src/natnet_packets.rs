@@ -126,7 +126,7 @@ impl Bench {
         bench.settle();
         if stage >= 1 {
             bench.inform(Some(TICKS_PER_SECOND), is(2));
-            if matches!(bench.session.phase(), Phase::Negotiating(_)) {
+            if matches!(bench.session.source().phase(), Phase::Negotiating(_)) {
                 bench.send(|out| encode::response_status(0, out));
                 bench.version = BitstreamVersion::V4_1;
             }
@@ -322,7 +322,7 @@ impl Bench {
         let datasets: Vec<_> = bodies
             .iter()
             .map(|&(name, id)| {
-                Dataset::rigid_body(RigidBodyDefinition {
+                Dataset::RigidBody(RigidBodyDefinition {
                     name: name.as_bytes(),
                     id,
                     parent_id: -1,
@@ -394,8 +394,8 @@ impl Bench {
 
     fn receive(&mut self, source: SocketAddr, datagram: &[u8]) {
         self.datagrams += 1;
-        let phase = self.session.phase();
-        let binding = self.session.binding();
+        let phase = self.session.source().phase();
+        let binding = self.session.tracker().binding;
         let frames = self.session.counters().session.frames;
         let mut events = 0;
         let mut observed = None;
@@ -566,9 +566,10 @@ mod tests {
                 let bench = Bench::at_stage(&mut Choices::new(&[options, version]));
                 let session = &bench.session;
                 let what = format!("options {options:#08b}, version {version}");
-                let streams = matches!(session.phase(), Phase::Streaming(v) if v == bench.version);
+                let streams =
+                    matches!(session.source().phase(), Phase::Streaming(v) if v == bench.version);
                 assert_eq!(streams, options & 3 >= 1, "{what}");
-                let bound = session.binding() == Binding::Bound { id: CAR };
+                let bound = session.tracker().binding == Binding::Bound { id: CAR };
                 assert_eq!(bound, options & 3 >= 2, "{what}");
                 let valid = matches!(session.pose_state(bench.now_ns), PoseState::Valid(_));
                 assert_eq!(valid, options & 3 == 3, "{what}: {session:?}");

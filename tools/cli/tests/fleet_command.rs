@@ -132,7 +132,7 @@ fn wait(fleet: &[(RealTimeSimulator, Daemon)], wanted: impl Fn(Mode) -> bool) {
 /// When the reference began.
 fn begun_ns(daemon: &Daemon) -> u64 {
     loop {
-        let tick = daemon.snapshot().tick.unwrap();
+        let tick = daemon.snapshot().latest.tick.unwrap();
         if let Some(drive_time) = tick.output.drive_time {
             return tick.pilot_time.0 - (drive_time * 1e9).round() as u64;
         }

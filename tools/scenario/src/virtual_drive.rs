@@ -13,13 +13,11 @@ use singletrack_control::{Estimate, Position, Setpoint, Time, Velocity};
 use singletrack_core::{
     ConfigError, HostOptions, Stalled, VirtualHost,
     cameras::{Channel, Sockets},
-    config::{Config, ReferenceSection, TuningError},
-    controller::Controller,
+    config::{Config, ReferenceSection},
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
-    setpoint::SetpointCommand,
 };
-use singletrack_pilot::{Arming, Jog, Learned, Mode, PilotRequest, Reason, Tuning};
+use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 
@@ -226,9 +224,9 @@ impl VirtualDrive {
         self.entries.as_mut().map_or_else(Vec::new, core::mem::take)
     }
 
-    /// The controller.
-    pub const fn controller(&self) -> &Controller {
-        self.host.controller()
+    /// The daemon's host: its requests, set-points and state.
+    pub const fn host(&self) -> &VirtualHost<impl Line + use<>> {
+        &self.host
     }
 
     /// The pilot's mode after the last tick.
@@ -245,38 +243,9 @@ impl VirtualDrive {
         self.host.request(request)
     }
 
-    /// Tells the pilot what is learned, with the next tick.
-    ///
-    /// # Errors
-    ///
-    /// As [`request`](Self::request).
-    pub fn learned(&self, learned: Learned) -> Result<(), Stalled> {
-        self.host.learned(learned)
-    }
-
-    /// Tunes the pilot, with the next tick.
-    ///
-    /// # Errors
-    ///
-    /// The configuration does not allow it.
-    pub fn tune(&self, tuning: Tuning) -> Result<(), TuningError> {
-        self.host.tune(tuning)
-    }
-
     /// Gives an external reference its newest set-point.
     pub fn send_setpoint(&self, setpoint: &Setpoint) {
         self.host.parts().setpoints.send(setpoint);
-    }
-
-    /// Gives an external reference the set-point of a program.
-    pub fn pass_setpoint(&self, command: &SetpointCommand) {
-        self.host.parts().setpoints.pass(command);
-    }
-
-    /// Gives the operator's pulses for servo and ESC, for the next tick. They count while the
-    /// mode is [`Mode::Jogging`], and must be renewed at least every 0.25 s.
-    pub fn send_jog(&self, jog: Jog) {
-        self.host.parts().jogs.send(jog);
     }
 
     /// Changes the configuration at the next tick. Returns its number.
@@ -387,7 +356,7 @@ impl VirtualDrive {
     pub(crate) fn not_started(&self) -> VirtualDriveError {
         VirtualDriveError::NotStarted {
             mode: self.mode(),
-            reason: self.controller().pilot().reason(),
+            reason: self.host.controller().pilot().reason(),
             seconds: READY_TIMEOUT,
         }
     }

@@ -155,10 +155,14 @@ fn a_trajectory_that_is_repeated_after_its_end_ends_the_drive() {
             position: Position::new(truth.x, truth.y),
             velocity: Velocity::zeros(),
         });
-        drive.pass_setpoint(&SetpointCommand::Trajectory(Box::new(Trajectory {
-            stamp: stamp(now),
-            points: points.into_iter().collect(),
-        })));
+        drive
+            .host()
+            .parts()
+            .setpoints
+            .pass(&SetpointCommand::Trajectory(Box::new(Trajectory {
+                stamp: stamp(now),
+                points: points.into_iter().collect(),
+            })));
     });
     assert_eq!(ended.reason, Reason::SetpointStale);
 }
@@ -199,10 +203,14 @@ fn all_speed_straight_at_the_fence_stops_inside() {
                 }
             })
             .collect();
-        drive.pass_setpoint(&SetpointCommand::Trajectory(Box::new(Trajectory {
-            stamp: stamp(now),
-            points,
-        })));
+        drive
+            .host()
+            .parts()
+            .setpoints
+            .pass(&SetpointCommand::Trajectory(Box::new(Trajectory {
+                stamp: stamp(now),
+                points,
+            })));
     });
     assert_eq!(ended.reason, Reason::OutsideFence);
     assert!(ended.fastest < config().limits.max_speed_m_s * 1.1);

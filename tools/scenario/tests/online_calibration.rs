@@ -146,14 +146,14 @@ impl LiveDrive {
         while self.drive.now_us() < end_us && self.last.mode == Mode::Driving {
             let tick = self.drive.step().tick;
             if let Some(learned) = self.calibration.tick(&tick) {
-                self.drive.learned(learned).unwrap();
+                self.drive.host().learned(learned).unwrap();
             }
             self.last = tick.output;
         }
     }
 
     fn learned(&self) -> Learned {
-        self.drive.controller().pilot().learned().unwrap()
+        self.drive.host().controller().pilot().learned().unwrap()
     }
 }
 

@@ -263,11 +263,11 @@ impl CameraWatch {
         counters: &PlanarCounters,
     ) -> Cause {
         let grew = |count: fn(&PlanarCounters) -> u64| count(counters) > count(before);
-        if session.is_contradicted(now_ns) {
+        if session.source().is_contradicted(now_ns) {
             return Cause::TwoSenders;
         }
         if !grew(|counters| counters.session.frames) {
-            return match (session.phase(), session.other_source()) {
+            return match (session.source().phase(), session.source().other_source()) {
                 (Phase::Refused(_) | Phase::Foreign, _) => Cause::UnsupportedVersion,
                 (_, Some(address)) if grew(|counters| counters.session.wrong_source) => {
                     Cause::OtherAddress(address)
@@ -279,7 +279,7 @@ impl CameraWatch {
                     Cause::StampsStand
                 }
                 // Without frames of the body, VRPN still has names.
-                (Phase::Open, _) => match session.binding() {
+                (Phase::Open, _) => match session.tracker().binding {
                     Binding::Missing => Cause::NoSuchBody,
                     _ => Cause::NoFrames,
                 },
@@ -287,11 +287,11 @@ impl CameraWatch {
                 _ => Cause::NoServer,
             };
         }
-        match session.binding() {
+        match session.tracker().binding {
             Binding::Missing => return Cause::NoSuchBody,
             Binding::Ambiguous { count } => return Cause::AmbiguousBody(count),
             Binding::Unresolved => {
-                return match session.unreadable() {
+                return match session.source().unreadable() {
                     Some(error) => Cause::UnreadableNames(error),
                     // They are on their way.
                     None => Cause::Starting,
@@ -302,7 +302,8 @@ impl CameraWatch {
         let is_seen = grew(|counters| counters.valid + counters.rejected.total());
         if is_seen
             && session
-                .level()
+                .tracker()
+                .level
                 .is_some_and(|level| level.suggests_other_axis())
         {
             return Cause::UpAxis;
@@ -352,9 +353,9 @@ impl Measured {
 
 /// The other rigid body near the car, in words.
 pub(crate) fn neighbour(session: &PlanarSession) -> Option<String> {
-    let id = session.neighbour()?.id;
+    let id = session.tracker().neighbour?.id;
     let car = &session.config().rigid_body;
-    let name = session.names().name(id).unwrap_or("without a name");
+    let name = session.tracker().names.name(id).unwrap_or("without a name");
     Some(format!(
         "the rigid body {name} (streaming id {id}) is within {NEAR_M} m of {car:?}: were its markers \
          taken for the car's?"
@@ -400,7 +401,7 @@ fn describe(cause: Cause, session: &PlanarSession, measured: &Measured) -> Strin
              probably has a second network card; set motion_capture.server = \"{address}\" if \
              that is its address, or choose the network in the server's streaming settings"
         ),
-        Cause::UnsupportedVersion if session.phase() == Phase::Foreign => format!(
+        Cause::UnsupportedVersion if session.source().phase() == Phase::Foreign => format!(
             "what answers at {server}, TCP port {}, says nothing or is no {}: look at motion_capture.kind and \
              command_port",
             config.command_port,
@@ -470,15 +471,18 @@ fn describe(cause: Cause, session: &PlanarSession, measured: &Measured) -> Strin
              address, and no pose is used; give the cameras a network of their own"
         ),
         Cause::NoSuchBody => {
-            let names = session.names();
+            let names = &session.tracker().names;
             if names.is_empty() {
                 format!(
                     "the server has no rigid body; define one named {rigid_body:?} and stream it"
                 )
             } else {
-                let unreadable = session.unreadable().map_or_else(String::new, |error| {
-                    format!("; a body that is not listed can't be read: {error}")
-                });
+                let unreadable = session
+                    .source()
+                    .unreadable()
+                    .map_or_else(String::new, |error| {
+                        format!("; a body that is not listed can't be read: {error}")
+                    });
                 format!(
                     "motion_capture.rigid_body = {rigid_body:?} is not among the server's rigid \
                      bodies {names}; check spelling and case, and that it is streamed{unreadable}"
@@ -500,7 +504,7 @@ fn describe(cause: Cause, session: &PlanarSession, measured: &Measured) -> Strin
                 UpAxis::Y => ("y", "z"),
                 UpAxis::Z => ("z", "y"),
             };
-            let level = session.level().map_or_else(String::new, |level| {
+            let level = session.tracker().level.map_or_else(String::new, |level| {
                 format!(
                     ": height {:.2} m and tilt {:.0} degrees; with {other:?} they are {:.2} m and \
                      {:.0} degrees",

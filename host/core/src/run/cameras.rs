@@ -219,7 +219,10 @@ impl CameraReceiver {
         are_left |= self.session.stream() != wanted;
         // They are there before the pose that begins a tick.
         if let (Some(neighbours), Some(newest)) = (&mut self.neighbours, fresh.last()) {
-            let (own, names) = (self.session.binding().id(), self.session.names());
+            let (own, names) = (
+                self.session.tracker().binding.id(),
+                &self.session.tracker().names,
+            );
             neighbours.pass(newest.receive_time_ns, own, &self.others, names);
         }
         self.others.clear();
@@ -239,7 +242,7 @@ impl CameraReceiver {
                 state,
             });
         }
-        let near = self.session.neighbour().map(|other| other.id);
+        let near = self.session.tracker().neighbour.map(|other| other.id);
         if near != self.near {
             let report = CameraReport::Neighbour(neighbour(&self.session));
             // One without room is made again: the status must not keep a neighbour that has gone.

@@ -209,7 +209,7 @@ pub(super) fn stand(snapshot: &Snapshot) -> Option<Stand> {
 
 /// The configuration with which the next drive begins: a proved one has its first metre behind it.
 fn for_the_next_drive(mut config: Config, snapshot: &Snapshot) -> Config {
-    config.supervisor.prove_first_metre &= snapshot.proved != Some(true);
+    config.supervisor.prove_first_metre &= snapshot.latest.proved != Some(true);
     config
 }
 

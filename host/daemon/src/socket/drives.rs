@@ -62,10 +62,8 @@ impl Drives {
     /// Whether the last request to arm may not have reached the pilot at this tick.
     pub(super) fn is_open(&self, snapshot: &Snapshot) -> bool {
         let asked_ns = self.0.asked_ns.load(Ordering::Acquire);
-        snapshot
-            .tick
-            .as_ref()
-            .is_none_or(|tick| tick.start_ns <= asked_ns)
+        let tick = snapshot.latest.tick.as_ref();
+        tick.is_none_or(|tick| tick.start_ns <= asked_ns)
     }
 }
 

@@ -63,7 +63,6 @@ impl FrameFlags {
     pub const MODELS_CHANGED: Self = Self(2);
 
     /// Whether every flag of `other` is set.
-    #[must_use]
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
@@ -187,7 +186,6 @@ impl<'a> Frame<'a> {
 
     /// The bodies of the rigid-body section in wire order. Bones of skeletons and bodies
     /// of assets are not among them.
-    #[must_use]
     pub fn rigid_bodies(&self) -> RigidBodies<'a> {
         self.rigid_bodies.clone()
     }
@@ -270,7 +268,6 @@ impl RigidBody {
     const LEN: usize = 38;
 
     /// A body with this pose, tracked, with a perfect fit.
-    #[must_use]
     pub const fn tracked(id: i32, position_m: [f32; 3], orientation_xyzw: [f32; 4]) -> Self {
         Self {
             id,
@@ -293,7 +290,6 @@ impl RigidBody {
     }
 
     /// Whether the cameras saw the body in this frame.
-    #[must_use]
     pub const fn tracking_valid(&self) -> bool {
         self.params & TRACKING_VALID != 0
     }

@@ -326,7 +326,6 @@ impl<'a> Connect<'a> {
 ///
 /// # Errors
 /// The version is not supported. A version that is not two numbers counts as 0.0.
-#[must_use]
 pub fn bitstream_request(text: &str) -> Option<Result<BitstreamVersion, UnsupportedVersion>> {
     let (command, version) = text.split_once(',')?;
     if !command.eq_ignore_ascii_case("bitstream") {

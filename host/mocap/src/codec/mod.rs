@@ -92,19 +92,16 @@ impl BitstreamVersion {
     }
 
     /// The four bytes `major, minor, build, revision` of the wire.
-    #[must_use]
     pub const fn to_wire(self) -> [u8; 4] {
         [self.major, self.minor, 0, 0]
     }
 
     /// The first number.
-    #[must_use]
     pub const fn major(self) -> u8 {
         self.major
     }
 
     /// The second number.
-    #[must_use]
     pub const fn minor(self) -> u8 {
         self.minor
     }
@@ -140,7 +137,6 @@ impl BitstreamVersion {
 
     /// Whether frames carry mid-exposure, received and transmit ticks, and the
     /// server information the clock's frequency.
-    #[must_use]
     pub const fn has_camera_ticks(self) -> bool {
         self.at_least(3, 0)
     }

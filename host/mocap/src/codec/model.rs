@@ -76,7 +76,6 @@ impl<'a> ModelDefinitions<'a> {
     }
 
     /// The rigid bodies. Bones of skeletons and bodies of assets are not listed.
-    #[must_use]
     pub fn rigid_bodies(&self) -> RigidBodyDefinitions<'a> {
         self.rigid_bodies.clone()
     }

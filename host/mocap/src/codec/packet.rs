@@ -47,7 +47,6 @@ pub enum MessageId {
 
 impl MessageId {
     /// The message with this id; `None` for an unknown id.
-    #[must_use]
     pub const fn from_wire(id: u16) -> Option<Self> {
         Some(match id {
             0 => Self::Connect,
@@ -101,13 +100,11 @@ impl<'a> Packet<'a> {
     }
 
     /// The message; `None` for an unknown id.
-    #[must_use]
     pub const fn message_id(&self) -> Option<MessageId> {
         MessageId::from_wire(self.id)
     }
 
     /// The bytes after the header.
-    #[must_use]
     pub const fn payload(&self) -> &'a [u8] {
         self.payload
     }

@@ -12,10 +12,7 @@ use crate::codec::{
     ServerInfo, dataset,
 };
 
-pub use frame::{
-    AnalogDevice, Asset, BodyMarker, FrameContent, LabelledMarker, MarkerSet, Sections, Skeleton,
-    frame,
-};
+pub use frame::{FrameContent, LabelledMarker, MarkerSet, frame};
 
 /// Why a message can't be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -29,15 +26,7 @@ pub enum EncodeError {
         /// Length of the buffer.
         capacity: usize,
     },
-    /// The message is longer than a datagram can be.
-    #[error("the message is {len} bytes long, a datagram carries {max}")]
-    TooLong {
-        /// Length of the message.
-        len: usize,
-        /// The limit.
-        max: usize,
-    },
-    /// A count or size beyond the range of the wire's `i32`.
+    /// A count or size beyond what the wire or a datagram can carry.
     #[error("{field} is {value}, more than the wire can carry")]
     CountOutOfRange {
         /// The count.
@@ -60,17 +49,6 @@ pub enum EncodeError {
         len: usize,
         /// The limit.
         max: usize,
-    },
-    /// A response text that would be read as a status.
-    #[error("a response text of three bytes would be read as a status")]
-    AmbiguousResponse,
-    /// A field that the bitstream version does not have.
-    #[error("bitstream {version} has no {field}")]
-    NotInVersion {
-        /// The field.
-        field: &'static str,
-        /// The version of the message.
-        version: BitstreamVersion,
     },
 }
 
@@ -151,30 +129,6 @@ pub fn response_status(status: i32, out: &mut [u8]) -> Result<usize, EncodeError
     writer.finish()
 }
 
-/// Encodes the answer to a text request as a text.
-///
-/// # Errors
-/// The buffer is too small, or the text contains a NUL, or is three bytes long:
-/// with its NUL it would be read as a status.
-pub fn response_text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
-    if text.len() == 3 {
-        return Err(EncodeError::AmbiguousResponse);
-    }
-    let mut writer = Writer::message(out, MessageId::Response);
-    writer.c_bytes(text.as_bytes(), "response");
-    writer.finish()
-}
-
-/// Encodes a text for the operator.
-///
-/// # Errors
-/// The buffer is too small, or the text contains a NUL.
-pub fn text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::MessageString);
-    writer.c_bytes(text.as_bytes(), "text");
-    writer.finish()
-}
-
 /// Encodes the server's disconnect message.
 ///
 /// # Errors
@@ -194,13 +148,8 @@ pub fn unrecognized(out: &mut [u8]) -> Result<usize, EncodeError> {
 /// One entry of the model definitions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Dataset<'a> {
-    /// A rigid body.
-    RigidBody {
-        /// Name, ids, offset.
-        definition: RigidBodyDefinition<'a>,
-        /// Its markers. Versions before 3.0 do not carry them.
-        markers: &'a [DefinitionMarker<'a>],
-    },
+    /// A rigid body, without its markers.
+    RigidBody(RigidBodyDefinition<'a>),
     /// A named set of markers.
     MarkerSet {
         /// Its name.
@@ -208,33 +157,6 @@ pub enum Dataset<'a> {
         /// Its markers' names.
         marker_names: &'a [&'a str],
     },
-    /// A skeleton, of bones without markers.
-    Skeleton {
-        /// Its name.
-        name: &'a str,
-        /// Its id.
-        id: i32,
-        /// Its bones.
-        bones: &'a [RigidBodyDefinition<'a>],
-    },
-    /// Another dataset, already encoded.
-    Other {
-        /// The dataset's type.
-        type_id: i32,
-        /// The bytes after type and size.
-        body: &'a [u8],
-    },
-}
-
-/// A marker of a rigid-body definition.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DefinitionMarker<'a> {
-    /// Position in the body, in metres.
-    pub position_m: [f32; 3],
-    /// The active label, or 0.
-    pub label: i32,
-    /// Its name. Versions before 4.0 do not carry it.
-    pub name: &'a str,
 }
 
 /// Encodes the answer to a request for model definitions.
@@ -260,75 +182,34 @@ pub fn model_definitions(
     writer.finish()
 }
 
-impl<'a> Dataset<'a> {
-    /// A rigid body's definition without markers.
-    #[must_use]
-    pub const fn rigid_body(definition: RigidBodyDefinition<'a>) -> Self {
-        Self::RigidBody {
-            definition,
-            markers: &[],
-        }
-    }
-
+impl Dataset<'_> {
     const fn type_id(&self) -> i32 {
         match self {
             Self::MarkerSet { .. } => dataset::MARKER_SET,
-            Self::RigidBody { .. } => dataset::RIGID_BODY,
-            Self::Skeleton { .. } => dataset::SKELETON,
-            Self::Other { type_id, .. } => *type_id,
+            Self::RigidBody(_) => dataset::RIGID_BODY,
         }
     }
 
     fn write(&self, writer: &mut Writer<'_>, version: BitstreamVersion) {
         match self {
-            Self::RigidBody {
-                definition,
-                markers,
-            } => write_rigid_body(writer, version, definition, markers),
+            Self::RigidBody(definition) => {
+                writer.c_bytes(definition.name, "rigid body name");
+                writer.i32(definition.id, "rigid body id");
+                writer.i32(definition.parent_id, "rigid body parent");
+                writer.f32s(&definition.offset_m, "rigid body offset");
+                if version.has_definition_rotation() {
+                    writer.f32s(&[0.0, 0.0, 0.0, 1.0], "rigid body rotation");
+                }
+                if version.has_definition_markers() {
+                    writer.count(0, "definition marker count");
+                }
+            }
             Self::MarkerSet { name, marker_names } => {
                 writer.c_bytes(name.as_bytes(), "marker set name");
                 writer.count(marker_names.len(), "marker name count");
                 for name in *marker_names {
                     writer.c_bytes(name.as_bytes(), "marker name");
                 }
-            }
-            Self::Skeleton { name, id, bones } => {
-                writer.c_bytes(name.as_bytes(), "skeleton name");
-                writer.i32(*id, "skeleton id");
-                writer.count(bones.len(), "bone count");
-                for bone in *bones {
-                    write_rigid_body(writer, version, bone, &[]);
-                }
-            }
-            Self::Other { body, .. } => writer.bytes(body, "dataset"),
-        }
-    }
-}
-
-fn write_rigid_body(
-    writer: &mut Writer<'_>,
-    version: BitstreamVersion,
-    definition: &RigidBodyDefinition<'_>,
-    markers: &[DefinitionMarker<'_>],
-) {
-    writer.c_bytes(definition.name, "rigid body name");
-    writer.i32(definition.id, "rigid body id");
-    writer.i32(definition.parent_id, "rigid body parent");
-    writer.f32s(&definition.offset_m, "rigid body offset");
-    if version.has_definition_rotation() {
-        writer.f32s(&[0.0, 0.0, 0.0, 1.0], "rigid body rotation");
-    }
-    if version.has_definition_markers() {
-        writer.count(markers.len(), "definition marker count");
-        for marker in markers {
-            writer.f32s(&marker.position_m, "definition marker position");
-        }
-        for marker in markers {
-            writer.i32(marker.label, "definition marker label");
-        }
-        if version.has_definition_marker_names() {
-            for marker in markers {
-                writer.c_bytes(marker.name.as_bytes(), "definition marker name");
             }
         }
     }

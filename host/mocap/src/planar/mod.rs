@@ -22,7 +22,7 @@ use crate::{
     body::{BodyPose, CaptureTime, CaptureTimeSource, UpAxis},
     config::{SessionConfig, SessionConfigError, Transport, not_zero, positive},
     names::Binding,
-    session::SessionCounters,
+    pose_source::SessionCounters,
     words,
 };
 
@@ -311,13 +311,11 @@ impl RejectedCounts {
     }
 
     /// Poses that were rejected for this reason.
-    #[must_use]
     pub const fn of(&self, reason: RejectReason) -> u64 {
         self.0[reason as usize]
     }
 
     /// The sum of all reasons.
-    #[must_use]
     pub fn total(&self) -> u64 {
         self.0.iter().sum()
     }

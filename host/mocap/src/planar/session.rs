@@ -1,16 +1,12 @@
 //! A camera session and a tracker in one.
 
-use core::net::IpAddr;
-
 use super::{
     Observation, PlanarConfig, PlanarConfigError, PlanarCounters, PoseState,
-    tracker::{Level, Neighbour, OtherBody, PlanarTracker},
+    tracker::{OtherBody, PlanarTracker},
 };
 use crate::{
-    codec::DecodeError,
-    names::{Binding, BodyNames},
-    pose_source::{Input, Output, Stream},
-    session::{Phase, SessionEvent, Transmit},
+    names::Binding,
+    pose_source::{Input, Output, PoseSource, SessionEvent, Stream, Transmit},
     source::Source,
 };
 
@@ -128,13 +124,11 @@ impl PlanarSession {
 
     /// The time of the next wake-up: see
     /// [`PoseSource::poll_timeout`](crate::PoseSource::poll_timeout).
-    #[must_use]
     pub fn poll_timeout(&self) -> Option<u64> {
         self.source.poll_timeout()
     }
 
     /// The stream that the owner keeps open: see [`PoseSource::stream`](crate::PoseSource::stream).
-    #[must_use]
     pub fn stream(&self) -> Option<Stream> {
         self.source.stream()
     }
@@ -142,7 +136,6 @@ impl PlanarSession {
     // Getters.
 
     /// What is known of the body at `now_ns`, silence included.
-    #[must_use]
     pub fn pose_state(&self, now_ns: u64) -> PoseState {
         match self.source.stale_for_ns(now_ns) {
             Some(silent_ns) => PoseState::Stale { silent_ns },
@@ -150,58 +143,17 @@ impl PlanarSession {
         }
     }
 
-    /// How far the session is.
-    #[must_use]
-    pub fn phase(&self) -> Phase {
-        self.source.phase()
+    /// What the session knows of the server.
+    pub fn source(&self) -> &dyn PoseSource {
+        &*self.source
     }
 
-    /// Which streaming id the body's name has.
-    #[must_use]
-    pub const fn binding(&self) -> Binding {
-        self.tracker.binding
-    }
-
-    /// The names of the server's bodies: see [`PlanarTracker::names`].
-    #[must_use]
-    pub const fn names(&self) -> &BodyNames {
-        &self.tracker.names
-    }
-
-    /// How the body lies with either up axis: see [`PlanarTracker::level`].
-    #[must_use]
-    pub const fn level(&self) -> Option<Level> {
-        self.tracker.level
-    }
-
-    /// The body near the place of the one that is followed: see [`PlanarTracker::neighbour`].
-    #[must_use]
-    pub const fn neighbour(&self) -> Option<Neighbour> {
-        self.tracker.neighbour
-    }
-
-    /// Error of a definition that could not be read: [`PoseSource::unreadable`](crate::PoseSource::unreadable).
-    #[must_use]
-    pub fn unreadable(&self) -> Option<DecodeError> {
-        self.source.unreadable()
-    }
-
-    /// The address of the last datagram that did not come from the server's: see
-    /// [`PoseSource::other_source`](crate::PoseSource::other_source).
-    #[must_use]
-    pub fn other_source(&self) -> Option<IpAddr> {
-        self.source.other_source()
-    }
-
-    /// Whether the frames are distrusted: see
-    /// [`PoseSource::is_contradicted`](crate::PoseSource::is_contradicted).
-    #[must_use]
-    pub fn is_contradicted(&self, now_ns: u64) -> bool {
-        self.source.is_contradicted(now_ns)
+    /// What is known of the body, its name and its neighbours by the newest frame.
+    pub const fn tracker(&self) -> &PlanarTracker {
+        &self.tracker
     }
 
     /// What was counted so far.
-    #[must_use]
     pub fn counters(&self) -> PlanarCounters {
         let mut counters = self.tracker.counters;
         counters.session = self.source.counters();
@@ -209,7 +161,6 @@ impl PlanarSession {
     }
 
     /// The session's configuration.
-    #[must_use]
     pub const fn config(&self) -> &PlanarConfig {
         &self.config
     }

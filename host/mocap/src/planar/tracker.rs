@@ -11,7 +11,7 @@ use super::{
 use crate::{
     body::{BodyPose, BodyState, InvalidBody, UpAxis},
     names::{Binding, BodyNames, Names},
-    session::PoseFrame,
+    pose_source::PoseFrame,
 };
 
 /// Follows one rigid body: finds it by its name, projects its pose onto the plane,
@@ -178,7 +178,6 @@ pub struct PoseGate {
 
 impl PoseGate {
     /// A gate that has seen no pose.
-    #[must_use]
     pub const fn new(limits: PoseLimits) -> Self {
         Self {
             limits,
@@ -325,7 +324,6 @@ impl Level {
     }
 
     /// Whether the pose is that of a car only if the other axis points up, and not the configured one.
-    #[must_use]
     pub fn suggests_other_axis(&self) -> bool {
         let sensible = |height_m: f64, tilt_rad: f64| {
             (LOWEST_M..=HIGHEST_M).contains(&height_m) && tilt_rad <= TILT_RAD

@@ -16,8 +16,7 @@ use crate::{
     body::{Body, BodyState},
     config::SessionConfig,
     names::Names,
-    pose_source::Output,
-    session::SessionEvent,
+    pose_source::{Output, SessionEvent},
     stream::{Broken, Dialogue, Incoming, LastFrame, Link, Over, StreamSession},
 };
 
@@ -96,7 +95,7 @@ impl QualisysDialogue {
         match (self.stage, packet.kind) {
             // All else comes on the stream, which nobody else can write to.
             (_, kind) if with.over == Over::Datagram && kind != Kind::Data => {
-                with.link.counters.unsolicited += 1;
+                with.link.common.counters.unsolicited += 1;
             }
             (Stage::Greeting, Kind::Command) if text().starts_with("QTM RT Interface") => {
                 self.stage = Stage::Version;
@@ -140,7 +139,7 @@ impl QualisysDialogue {
 
     fn frame(&mut self, order: ByteOrder, packet: &Packet<'_>, with: &mut Incoming<'_>) {
         let Some(frame) = packet.frame(order) else {
-            with.link.counters.malformed += 1;
+            with.link.common.counters.malformed += 1;
             return;
         };
         self.stream_due_ns = with.now_ns.saturating_add(STREAM_AGAIN_NS);
@@ -177,7 +176,7 @@ fn state(body: &FrameBody, link: &Link) -> BodyState {
         return BodyState::Untracked;
     }
     let metres = |mm: f32| f64::from(mm) * 1e-3;
-    link.config.reading().state(
+    link.common.config.reading().state(
         body.position_mm.map(metres),
         quaternion(body.axes.map(|axis| axis.map(f64::from))),
         metres(body.residual_mm),
@@ -213,7 +212,7 @@ fn quaternion([x, y, z]: [[f64; 3]; 3]) -> [f64; 4] {
 
 impl Dialogue for QualisysDialogue {
     fn open(&mut self, now_ns: u64, link: &mut Link) {
-        let never_ns = now_ns.saturating_add(link.config.timing.reconnect_after_ns);
+        let never_ns = now_ns.saturating_add(link.common.config.timing.reconnect_after_ns);
         *self = Self {
             names_due_ns: never_ns,
             stream_due_ns: never_ns,
@@ -242,7 +241,7 @@ impl Dialogue for QualisysDialogue {
             return;
         }
         if now_ns >= self.names_due_ns {
-            self.names_due_ns = now_ns.saturating_add(link.config.timing.model_poll_ns);
+            self.names_due_ns = now_ns.saturating_add(link.common.config.timing.model_poll_ns);
             (self.names_asked, self.names_asked_ns) = (true, now_ns);
             self.say("GetParameters 6D", link);
         }

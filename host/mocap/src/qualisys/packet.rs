@@ -52,21 +52,18 @@ pub struct NotAPacket {
 pub const DISCOVERY_PORT: u16 = 22_226;
 
 /// The question for servers, whose answers go to this port.
-#[must_use]
 pub fn discovery(port: u16) -> [u8; 10] {
     let [high, low] = port.to_be_bytes();
     [10, 0, 0, 0, 7, 0, 0, 0, high, low]
 }
 
 /// The port in a question for servers, if it is one.
-#[must_use]
 pub fn discovery_port(question: &[u8]) -> Option<u16> {
     let port = question.strip_prefix(&[10, 0, 0, 0, 7, 0, 0, 0])?;
     Some(u16::from_be_bytes(*port.first_chunk()?))
 }
 
 /// The answer of a server: a text about it, and the port below its little-endian one.
-#[must_use]
 pub fn discovered(about: &str, base_port: u16) -> heapless::Vec<u8, 128> {
     let mut answer = heapless::Vec::new();
     let about = about.get(..about.len().min(100)).unwrap_or_default();
@@ -127,7 +124,6 @@ pub struct FrameBody {
 
 impl ByteOrder {
     /// The order in which the first packet's size makes sense.
-    #[must_use]
     pub fn of(size: [u8; 4]) -> Self {
         if u32::from_le_bytes(size) <= u32::from_be_bytes(size) {
             Self::Little
@@ -154,16 +150,11 @@ impl ByteOrder {
 }
 
 impl Kind {
-    const fn of(number: u32) -> Self {
-        match number {
-            0 => Self::Error,
-            1 => Self::Command,
-            2 => Self::Xml,
-            3 => Self::Data,
-            4 => Self::NoMoreData,
-            6 => Self::Event,
-            _ => Self::Other,
-        }
+    fn of(number: u32) -> Self {
+        use Kind::{Command, Data, Error, Event, NoMoreData, Other, Xml};
+        let known = [Error, Command, Xml, Data, NoMoreData, Event];
+        let kind = known.into_iter().find(|kind| *kind as u32 == number);
+        kind.unwrap_or(Other)
     }
 }
 
@@ -197,13 +188,11 @@ impl<'a> Packet<'a> {
     }
 
     /// The text of an error, a command or settings.
-    #[must_use]
     pub fn text(&self) -> Option<&'a str> {
         core::str::from_utf8(self.text_bytes()).ok()
     }
 
     /// That text in whatever encoding it is: names in it may be in another one than the rest.
-    #[must_use]
     pub fn text_bytes(&self) -> &'a [u8] {
         self.body
             .split(|byte| *byte == 0)
@@ -212,7 +201,6 @@ impl<'a> Packet<'a> {
     }
 
     /// The frame in a packet of data; `None` if it holds no bodies, or is damaged.
-    #[must_use]
     pub fn frame(&self, order: ByteOrder) -> Option<Frame<'a>> {
         let (low, rest) = order.u32(self.body)?;
         let (high, rest) = order.u32(rest)?;
@@ -277,7 +265,6 @@ impl Frame<'_> {
 impl FrameBody {
     /// Roll, pitch and yaw in degrees: the rotation is about x, then about the new y, then about
     /// the newest z.
-    #[must_use]
     pub fn euler_deg(&self) -> [f32; 3] {
         let [[xx, _, _], [xy, _, _], [xz, yz, zz]] = self.axes.map(|axis| axis.map(f64::from));
         [

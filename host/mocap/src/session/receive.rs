@@ -3,10 +3,7 @@
 
 use core::net::SocketAddr;
 
-use super::{
-    Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, Server, Session, SessionEvent,
-    transmit::Schedule,
-};
+use super::{Server, Session, transmit::Schedule};
 use crate::{
     body::{Bodies, BodiesOf, CaptureTime},
     clock::{CaptureClock, EchoSample, SampleUse},
@@ -16,50 +13,49 @@ use crate::{
     },
     config::Transport,
     consistency::{Arrival, Consistency, Evidence, Order, Sequence, digest},
+    names::Names,
+    pose_source::{Connected, Output, Phase, PoseFrame, RestartReason, SessionEvent, Wake},
 };
 
 impl Session {
     /// Starts over with CONNECT.
-    pub(super) fn restart(
-        &mut self,
-        now_ns: u64,
-        reason: RestartReason,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) {
-        if matches!(self.phase, Phase::Closing | Phase::Closed) {
+    pub(super) fn restart(&mut self, reason: RestartReason, wake: &mut Wake<'_>) {
+        if self.common.is_closing() {
             return;
         }
-        self.counters.restarts += 1;
-        self.phase = Phase::Connecting;
-        self.schedule = Schedule::connect_at(now_ns);
+        self.common.counters.restarts += 1;
+        self.common.phase = Phase::Connecting;
+        self.schedule = Schedule::connect_at(wake.now_ns);
         self.server = None;
         self.echo_stamp = None;
         self.undecodable = 0;
         self.models_changed = false;
-        self.forget_definitions(on_event);
-        on_event(SessionEvent::Restarted(reason));
+        self.forget_definitions(wake);
+        wake.tell(SessionEvent::Restarted(reason));
+    }
+
+    fn forget_definitions(&mut self, wake: &mut Wake<'_>) {
+        if self.definitions_current {
+            self.definitions_current = false;
+            wake.tell(SessionEvent::DefinitionsOutdated);
+        }
     }
 
     /// Takes the answer to CONNECT; false when nothing asked for it.
-    fn handle_server_info(
-        &mut self,
-        now_ns: u64,
-        info: &ServerInfo<'_>,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) -> bool {
+    fn server_info(&mut self, info: &ServerInfo<'_>, wake: &mut Wake<'_>) -> bool {
         let server = Server {
             natnet_version: info.natnet_version,
             native: info.bitstream(),
             connection: info.connection,
         };
-        match self.phase {
+        match self.common.phase {
             Phase::Connecting => {}
             // The same answer again: a refusal is reported once.
             Phase::Refused(_) if self.server == Some(server) => return true,
             Phase::Refused(_) => {}
             _ => {
                 if self.server != Some(server) {
-                    self.restart(now_ns, RestartReason::ServerChanged, on_event);
+                    self.restart(RestartReason::ServerChanged, wake);
                 }
                 return self.server.is_none();
             }
@@ -68,23 +64,23 @@ impl Session {
         let frequency = info
             .connection
             .and_then(|connection| connection.ticks_per_second);
-        self.clock = CaptureClock::new(frequency, &self.config.timing);
+        self.clock = CaptureClock::new(frequency, &self.common.config.timing);
         self.sequence = Sequence::default();
         self.consistency = Consistency::new(frequency);
-        let multicast = matches!(self.config.transport, Transport::Multicast);
+        let multicast = matches!(self.common.config.transport, Transport::Multicast);
         if let Some(connection) = info.connection
             && connection.data_channel.multicast != multicast
         {
-            on_event(SessionEvent::TransportMismatch {
+            wake.tell(SessionEvent::TransportMismatch {
                 server_multicast: !multicast,
             });
         }
         match self.bitstream_to_request(server) {
             Some(requested) => {
-                self.phase = Phase::Negotiating(requested);
-                self.schedule = Schedule::begin(now_ns);
+                self.common.phase = Phase::Negotiating(requested);
+                self.schedule = Schedule::begin(wake.now_ns);
             }
-            None => self.take_native(now_ns, server, on_event),
+            None => self.take_native(server, wake),
         }
         true
     }
@@ -92,7 +88,7 @@ impl Session {
     /// The bitstream to request: one older than the server's own. A server can't
     /// send a newer one, and only servers from 3.0 on can change it, in unicast.
     fn bitstream_to_request(&self, server: Server) -> Option<BitstreamVersion> {
-        let Transport::Unicast { bitstream } = self.config.transport else {
+        let Transport::Unicast { bitstream } = self.common.config.transport else {
             return None;
         };
         let requested = bitstream?;
@@ -101,48 +97,38 @@ impl Session {
     }
 
     /// The server did not change its bitstream to `requested`.
-    pub(super) fn keep_bitstream(
-        &mut self,
-        now_ns: u64,
-        requested: BitstreamVersion,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) {
+    pub(super) fn keep_bitstream(&mut self, requested: BitstreamVersion, wake: &mut Wake<'_>) {
         let Some(server) = self.server else {
             return;
         };
         if let Ok(kept) = server.native {
-            on_event(SessionEvent::BitstreamKept { requested, kept });
+            wake.tell(SessionEvent::BitstreamKept { requested, kept });
         }
-        self.take_native(now_ns, server, on_event);
+        self.take_native(server, wake);
     }
 
-    fn take_native(
-        &mut self,
-        now_ns: u64,
-        server: Server,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) {
+    fn take_native(&mut self, server: Server, wake: &mut Wake<'_>) {
         match server.native {
-            Ok(version) => self.begin_streaming(now_ns, version, on_event),
+            Ok(version) => self.begin_streaming(version, wake),
             Err(unsupported) => {
-                self.phase = Phase::Refused(unsupported);
-                let retry_ns = self.config.timing.retry_ns;
-                self.schedule.handshake_ns = now_ns.saturating_add(retry_ns);
-                on_event(SessionEvent::Refused(unsupported));
+                self.common.phase = Phase::Refused(unsupported);
+                self.try_later(wake.now_ns);
+                wake.tell(SessionEvent::Refused(unsupported));
             }
         }
     }
 
-    fn begin_streaming(
-        &mut self,
-        now_ns: u64,
-        version: BitstreamVersion,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) {
-        self.phase = Phase::Streaming(version);
-        self.schedule = Schedule::begin(now_ns);
+    /// The handshake goes on after a pause.
+    fn try_later(&mut self, now_ns: u64) {
+        let retry_ns = self.common.config.timing.retry_ns;
+        self.schedule.handshake_ns = now_ns.saturating_add(retry_ns);
+    }
+
+    fn begin_streaming(&mut self, version: BitstreamVersion, wake: &mut Wake<'_>) {
+        self.common.phase = Phase::Streaming(version);
+        self.schedule = Schedule::begin(wake.now_ns);
         let connection = self.server.and_then(|server| server.connection);
-        on_event(SessionEvent::Connected(Connected {
+        wake.tell(SessionEvent::Connected(Connected {
             version,
             data_port: connection.map(|connection| connection.data_channel.port),
             has_camera_clock: version.has_camera_ticks()
@@ -160,36 +146,20 @@ const UNDECODABLE: u32 = 20;
 const MODELS_CHANGED_NS: u64 = 1_000_000_000;
 
 impl Session {
-    /// Takes a datagram that arrived at `now_ns` from `source`.
-    ///
-    /// The result borrows the datagram: a frame's poses are read from it.
-    pub fn handle_datagram<'a>(
-        &mut self,
-        now_ns: u64,
-        source: SocketAddr,
-        datagram: &'a [u8],
-        on_event: &mut impl FnMut(SessionEvent),
-    ) -> DatagramOutcome<'a> {
+    pub(super) fn datagram(&mut self, source: SocketAddr, datagram: &[u8], wake: &mut Wake<'_>) {
         // Frames come from the command port or the data port, replies from the
         // command port, multicast from any port: only the address is checked here, and
         // that frames do not come from two ports at a time below.
-        if source.ip() != self.config.server {
-            self.counters.wrong_source += 1;
-            self.other_source = Some(source.ip());
-            if !self.other_sources.contains(&source.ip())
-                && self.other_sources.push(source.ip()).is_ok()
-            {
-                on_event(SessionEvent::OtherSource(source.ip()));
-            }
-            return DatagramOutcome::WrongSource;
+        if !self.common.is_server(source.ip(), wake) {
+            return;
         }
         let id = Packet::parse(datagram).map(|packet| packet.message_id());
         let is_frame = id == Ok(Some(MessageId::Frame));
-        let version = match self.phase {
+        let version = match self.common.phase {
             Phase::Streaming(version) => version,
             _ if is_frame => {
-                self.counters.early += 1;
-                return DatagramOutcome::Ignored;
+                self.common.counters.early += 1;
+                return;
             }
             // Only frames and definitions depend on it.
             _ => BitstreamVersion::NEWEST,
@@ -198,214 +168,168 @@ impl Session {
             Ok(ServerMessage::Frame(frame)) => {
                 self.undecodable = 0;
                 let arrival = Arrival {
-                    now_ns,
+                    now_ns: wake.now_ns,
                     port: source.port(),
                     number: frame.number,
                     ticks: frame.ticks.unwrap_or_default().transmit,
                     digest: digest(datagram),
                 };
-                self.handle_frame(&arrival, &frame, on_event)
+                self.frame(&arrival, &frame, wake);
             }
-            Ok(reply) => self.handle_reply(now_ns, reply, on_event),
+            Ok(reply) => {
+                if !self.reply(reply, wake) {
+                    self.common.counters.unsolicited += 1;
+                }
+            }
             Err(error) => {
                 if id == Ok(Some(MessageId::ModelDefinitions)) {
-                    self.definitions_unreadable(error, on_event);
+                    self.definitions_unreadable(error, wake);
                 }
-                self.handle_malformed(now_ns, is_frame, error, on_event);
-                DatagramOutcome::Malformed(error)
+                self.malformed(is_frame, error, wake);
             }
         }
     }
 
     /// The first error of some definitions is worth a line in the log.
-    fn definitions_unreadable(
-        &mut self,
-        error: DecodeError,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) {
+    fn definitions_unreadable(&mut self, error: DecodeError, wake: &mut Wake<'_>) {
         if self.unreadable.replace(error) != Some(error) {
-            on_event(SessionEvent::DefinitionsUnreadable(error));
+            wake.tell(SessionEvent::DefinitionsUnreadable(error));
         }
     }
 
-    fn handle_malformed(
-        &mut self,
-        now_ns: u64,
-        is_frame: bool,
-        error: DecodeError,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) {
-        self.counters.malformed += 1;
+    fn malformed(&mut self, is_frame: bool, error: DecodeError, wake: &mut Wake<'_>) {
+        self.common.counters.malformed += 1;
         if is_frame {
             self.undecodable = self.undecodable.saturating_add(1);
             // While other frames can be decoded, these come from another sender and
             // are not another bitstream. A sender that is quick must not restart the
             // session continuously.
-            let lasts_ns = now_ns.saturating_sub(self.decodable_until_ns());
-            if self.undecodable >= UNDECODABLE && lasts_ns >= self.config.timing.stale_after_ns {
-                self.restart(now_ns, RestartReason::Undecodable(error), on_event);
+            let lasts_ns = wake.now_ns.saturating_sub(self.decodable_until_ns());
+            let is_long = lasts_ns >= self.common.config.timing.stale_after_ns;
+            if self.undecodable >= UNDECODABLE && is_long {
+                self.restart(RestartReason::Undecodable(error), wake);
             }
         }
     }
 
-    fn handle_reply<'a>(
-        &mut self,
-        now_ns: u64,
-        reply: ServerMessage<'a>,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) -> DatagramOutcome<'a> {
-        let used = match (reply, self.phase) {
-            (_, Phase::Closing | Phase::Closed) => false,
-            (ServerMessage::ServerInfo(info), _) => {
-                self.handle_server_info(now_ns, &info, on_event)
-            }
+    /// Takes a reply; false when nothing asked for it.
+    fn reply(&mut self, reply: ServerMessage<'_>, wake: &mut Wake<'_>) -> bool {
+        match (reply, self.common.phase) {
+            (_, Phase::Closing | Phase::Closed) => return false,
+            (ServerMessage::ServerInfo(info), _) => return self.server_info(&info, wake),
             (ServerMessage::Disconnect, _) => {
-                self.restart(now_ns, RestartReason::ServerLeft, on_event);
-                let retry_ns = self.config.timing.retry_ns;
-                self.schedule.handshake_ns = now_ns.saturating_add(retry_ns);
-                true
+                self.restart(RestartReason::ServerLeft, wake);
+                self.try_later(wake.now_ns);
             }
             (ServerMessage::Response(Response::Status(0)), Phase::Negotiating(requested)) => {
-                self.begin_streaming(now_ns, requested, on_event);
-                true
+                self.begin_streaming(requested, wake);
             }
             (
                 ServerMessage::Response(Response::Status(_)) | ServerMessage::Unrecognized,
                 Phase::Negotiating(requested),
-            ) => {
-                self.keep_bitstream(now_ns, requested, on_event);
-                true
-            }
+            ) => self.keep_bitstream(requested, wake),
             (ServerMessage::ModelDefinitions(definitions), Phase::Streaming(_)) => {
                 match definitions.unreadable {
-                    Some(error) => self.definitions_unreadable(error, on_event),
+                    Some(error) => self.definitions_unreadable(error, wake),
                     None => self.unreadable = None,
                 }
                 self.definitions_current = true;
-                let poll_ns = self.config.timing.model_poll_ns;
-                self.schedule.models_read(now_ns, poll_ns);
-                return DatagramOutcome::Definitions(definitions);
+                let poll_ns = self.common.config.timing.model_poll_ns;
+                self.schedule.models_read(wake.now_ns, poll_ns);
+                (wake.on_output)(Output::Names(Names::Definitions(definitions)));
             }
-            (ServerMessage::Echo(echo), Phase::Streaming(_)) => {
-                self.handle_echo(now_ns, echo, on_event)
-            }
-            _ => false,
-        };
-        if used {
-            DatagramOutcome::Reply
-        } else {
-            self.counters.unsolicited += 1;
-            DatagramOutcome::Ignored
+            (ServerMessage::Echo(echo), Phase::Streaming(_)) => return self.echo(echo, wake),
+            _ => return false,
         }
+        true
     }
 
-    fn handle_echo(
-        &mut self,
-        now_ns: u64,
-        echo: Echo,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) -> bool {
+    fn echo(&mut self, echo: Echo, wake: &mut Wake<'_>) -> bool {
         // Only the answer to the newest request is used: an older answer is late.
-        if self.echo_stamp != Some(echo.client_stamp) || now_ns < echo.client_stamp {
+        if self.echo_stamp != Some(echo.client_stamp) || wake.now_ns < echo.client_stamp {
             return false;
         }
         self.echo_stamp = None;
         let sample = EchoSample {
             sent_ns: echo.client_stamp,
-            received_ns: now_ns,
+            received_ns: wake.now_ns,
             server_ticks: echo.server_ticks,
         };
+        let counters = &mut self.common.counters;
         match self.clock.echo_mut().map(|clock| clock.add(sample)) {
-            Some(SampleUse::Agreed) => self.counters.echoes += 1,
+            Some(SampleUse::Agreed) => counters.echoes += 1,
             Some(SampleUse::Stepped) => {
-                self.counters.echoes += 1;
-                self.counters.clock_steps += 1;
+                counters.echoes += 1;
+                counters.clock_steps += 1;
             }
-            Some(SampleUse::Backward) => {
-                self.restart(now_ns, RestartReason::ClockBackward, on_event);
-            }
+            Some(SampleUse::Backward) => self.restart(RestartReason::ClockBackward, wake),
             None => return false,
         }
         true
     }
 
-    fn handle_frame<'a>(
-        &mut self,
-        arrival: &Arrival,
-        frame: &Frame<'a>,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) -> DatagramOutcome<'a> {
-        let now_ns = arrival.now_ns;
+    fn frame(&mut self, arrival: &Arrival, frame: &Frame<'_>, wake: &mut Wake<'_>) {
+        let now_ns = wake.now_ns;
         let key = CaptureClock::order_key(frame);
-        let stale_after_ns = self.config.timing.stale_after_ns;
+        let stale_after_ns = self.common.config.timing.stale_after_ns;
         let order = match self.consistency.judge(arrival, stale_after_ns) {
             Evidence::Agrees => self.sequence.place(frame.number, key),
-            Evidence::OtherSender => {
-                self.contradicted(now_ns, on_event);
-                return DatagramOutcome::Late;
-            }
+            Evidence::OtherSender => return self.contradicted(wake),
             Evidence::AheadOfTime => {
-                self.contradicted(now_ns, on_event);
+                self.contradicted(wake);
                 self.sequence.suspect(frame.number, key)
             }
         };
+        let counters = &mut self.common.counters;
         match order {
-            Order::Newest { lost } => self.counters.lost += lost,
-            Order::Renumbered => self.counters.renumbered += 1,
+            Order::Newest { lost } => counters.lost += lost,
+            Order::Renumbered => counters.renumbered += 1,
             Order::Duplicate => {
-                self.counters.duplicates += 1;
-                return DatagramOutcome::Duplicate;
+                counters.duplicates += 1;
+                return;
             }
             Order::Late => {
-                self.counters.late += 1;
-                return DatagramOutcome::Late;
+                counters.late += 1;
+                return;
             }
             Order::Restarted => {
-                self.counters.late += 1;
-                self.restart(now_ns, RestartReason::FramesBackward, on_event);
-                return DatagramOutcome::Late;
+                counters.late += 1;
+                return self.restart(RestartReason::FramesBackward, wake);
             }
         }
         self.consistency.taken(*arrival);
-        self.counters.frames += 1;
-        self.last_frame_ns = Some(now_ns);
-        self.stale = false;
-        self.watch_models(now_ns, frame.flags, on_event);
-        DatagramOutcome::Frame(PoseFrame {
+        self.common.frame(now_ns);
+        self.watch_models(frame.flags, wake);
+        (wake.on_output)(Output::Frame(PoseFrame {
             number: frame.number,
             receive_time_ns: now_ns,
             capture: self.capture(frame, now_ns),
             flags: frame.flags,
             definitions_current: self.definitions_current,
             bodies: Bodies {
-                of: BodiesOf::NatNet(frame.rigid_bodies(), self.config.reading()),
-                up_axis: self.config.up_axis,
+                of: BodiesOf::NatNet(frame.rigid_bodies(), self.common.config.reading()),
+                up_axis: self.common.config.up_axis,
             },
-        })
+        }));
     }
 
-    fn contradicted(&mut self, now_ns: u64, on_event: &mut impl FnMut(SessionEvent)) {
-        self.counters.contradictions += 1;
-        if self.consistency.contradicted(now_ns) {
-            on_event(SessionEvent::Contradicted);
+    fn contradicted(&mut self, wake: &mut Wake<'_>) {
+        self.common.counters.contradictions += 1;
+        if self.consistency.contradicted(wake.now_ns) {
+            wake.tell(SessionEvent::Contradicted);
         }
     }
 
     /// When the models change, an id may mean another body from this frame on: the
     /// definitions are not valid until they have been read again.
-    fn watch_models(
-        &mut self,
-        now_ns: u64,
-        flags: FrameFlags,
-        on_event: &mut impl FnMut(SessionEvent),
-    ) {
+    fn watch_models(&mut self, flags: FrameFlags, wake: &mut Wake<'_>) {
         let changed = flags.contains(FrameFlags::MODELS_CHANGED);
         if changed && !self.models_changed {
-            self.forget_definitions(on_event);
-            self.schedule.models_by(now_ns);
+            self.forget_definitions(wake);
+            self.schedule.models_by(wake.now_ns);
         } else if changed {
             self.schedule
-                .models_by(now_ns.saturating_add(MODELS_CHANGED_NS));
+                .models_by(wake.now_ns.saturating_add(MODELS_CHANGED_NS));
         }
         self.models_changed = changed;
     }
@@ -414,12 +338,9 @@ impl Session {
     fn capture(&mut self, frame: &Frame<'_>, now_ns: u64) -> Option<CaptureTime> {
         let capture = self.clock.capture(frame, now_ns)?;
         if self.consistency.is_distrusted(now_ns) {
-            self.counters.distrusted += 1;
+            self.common.counters.distrusted += 1;
             return None;
         }
-        let offset_ns = self.config.timing.stamp_offset_ns;
-        let (capture, was_clamped) = capture.at_arrival(now_ns, offset_ns)?;
-        self.counters.capture_clamped += u64::from(was_clamped);
-        Some(capture)
+        self.common.at_arrival(capture, now_ns)
     }
 }

@@ -1,11 +1,10 @@
 //! What the session does by itself, and when.
 
-use core::net::SocketAddr;
-
-use super::{Phase, RestartReason, Session, SessionEvent};
+use super::Session;
 use crate::{
-    codec::{BitstreamVersion, ClientMessage, Connect},
+    codec::{BitstreamVersion, ClientMessage},
     encode,
+    pose_source::Transmit,
 };
 
 /// Until the definitions have been read they are requested at this interval; while
@@ -18,9 +17,9 @@ const INCOMPLETE_MODELS_NS: u64 = 500_000_000;
 pub(super) struct Schedule {
     /// CONNECT, or the bitstream request.
     pub(super) handshake_ns: u64,
-    bitstream_attempts: u32,
+    pub(super) bitstream_attempts: u32,
     pub(super) echo_ns: u64,
-    models_ns: u64,
+    pub(super) models_ns: u64,
     /// When the definitions are requested again if they lack a body.
     models_retry_ns: u64,
     pub(super) keep_alive_ns: u64,
@@ -79,97 +78,19 @@ impl Schedule {
 }
 
 /// The name that the client introduces itself with.
-const CLIENT_NAME: &str = "Singletrack";
+pub(super) const CLIENT_NAME: &str = "Singletrack";
 
 /// The first exchanges follow each other quickly, so that the clock is soon known.
 const QUICK_ECHOES: usize = 8;
 const QUICK_ECHO_NS: u64 = 100_000_000;
 
 /// How often the bitstream is requested before the session takes the server's own.
-const BITSTREAM_ATTEMPTS: u32 = 5;
-
-/// The longest datagram that a session sends: CONNECT.
-pub(crate) const MAX_LEN: usize = 288;
-
-/// Bytes to send.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Transmit {
-    /// The address to send them to.
-    pub destination: SocketAddr,
-    /// Whether they are to follow the others on the stream, and are no datagram.
-    pub on_stream: bool,
-    /// The bytes.
-    pub bytes: heapless::Vec<u8, MAX_LEN>,
-}
+pub(super) const BITSTREAM_ATTEMPTS: u32 = 5;
 
 impl Session {
-    /// Acts on silence: a stream that has become stale, a server that does not
-    /// answer.
-    ///
-    /// Hand over the datagrams that have arrived before.
-    pub fn handle_timeout(&mut self, now_ns: u64, on_event: &mut impl FnMut(SessionEvent)) {
-        if matches!(self.phase, Phase::Closing | Phase::Closed) {
-            return;
-        }
-        if self.stale_due_ns().is_some_and(|due_ns| now_ns >= due_ns) {
-            self.stale = true;
-            self.counters.stale += 1;
-            on_event(SessionEvent::Stale);
-        }
-        match self.phase {
-            Phase::Streaming(_) if now_ns >= self.silence_due_ns() => {
-                self.restart(now_ns, RestartReason::Silence, on_event);
-            }
-            Phase::Negotiating(requested)
-                if now_ns >= self.schedule.handshake_ns
-                    && self.schedule.bitstream_attempts >= BITSTREAM_ATTEMPTS =>
-            {
-                self.keep_bitstream(now_ns, requested, on_event);
-            }
-            _ => {}
-        }
-    }
-
-    /// The next datagram to send now; call it until it returns `None`.
-    ///
-    /// A datagram that the socket does not take may be dropped: the session repeats
-    /// what matters.
-    pub fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
-        let timing = self.config.timing;
-        match self.phase {
-            Phase::Closed | Phase::Open | Phase::Foreign => None,
-            Phase::Closing => {
-                self.phase = Phase::Closed;
-                self.transmit(&ClientMessage::Disconnect)
-            }
-            Phase::Connecting | Phase::Refused(_) => {
-                if now_ns < self.schedule.handshake_ns {
-                    return None;
-                }
-                self.schedule.handshake_ns = now_ns.saturating_add(timing.retry_ns);
-                self.transmit(&ClientMessage::Connect(Connect {
-                    name: CLIENT_NAME,
-                    // Requested as a text, which is answered.
-                    requested_bitstream: None,
-                }))
-            }
-            Phase::Negotiating(requested) => {
-                if now_ns < self.schedule.handshake_ns
-                    || self.schedule.bitstream_attempts >= BITSTREAM_ATTEMPTS
-                {
-                    return None;
-                }
-                self.schedule.bitstream_attempts += 1;
-                self.schedule.handshake_ns = now_ns.saturating_add(timing.retry_ns);
-                self.bitstream_request(requested)
-            }
-            Phase::Streaming(_) => self.poll_streaming(now_ns),
-        }
-    }
-
-    fn poll_streaming(&mut self, now_ns: u64) -> Option<Transmit> {
-        let timing = self.config.timing;
+    /// What is due to be sent while frames arrive.
+    pub(super) fn poll_streaming(&mut self, now_ns: u64) -> Option<Transmit> {
+        let timing = self.common.config.timing;
         if let Some(due_ns) = self.echo_due_ns()
             && now_ns >= due_ns
         {
@@ -199,41 +120,16 @@ impl Session {
         None
     }
 
-    /// When [`handle_timeout`](Self::handle_timeout) and
-    /// [`poll_transmit`](Self::poll_transmit) must be called next, on the local
-    /// clock; `None` once the session is closed.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Option<u64> {
-        match self.phase {
-            Phase::Closed | Phase::Open | Phase::Foreign => None,
-            Phase::Closing => Some(0),
-            Phase::Connecting | Phase::Refused(_) | Phase::Negotiating(_) => {
-                let stale_ns = self.stale_due_ns().unwrap_or(u64::MAX);
-                Some(self.schedule.handshake_ns.min(stale_ns))
-            }
-            Phase::Streaming(_) => [
-                Some(self.schedule.models_ns),
-                self.echo_due_ns(),
-                self.keep_alive_due_ns(),
-                self.stale_due_ns(),
-                Some(self.silence_due_ns()),
-            ]
-            .into_iter()
-            .flatten()
-            .min(),
-        }
-    }
-
-    fn bitstream_request(&self, requested: BitstreamVersion) -> Option<Transmit> {
+    pub(super) fn bitstream_request(&self, requested: BitstreamVersion) -> Option<Transmit> {
         let mut text: heapless::String<24> = heapless::String::new();
         // "Bitstream,255.255" fits.
         core::fmt::write(&mut text, format_args!("Bitstream,{requested}")).ok()?;
         self.transmit(&ClientMessage::Request(&text))
     }
 
-    fn transmit(&self, message: &ClientMessage<'_>) -> Option<Transmit> {
+    pub(super) fn transmit(&self, message: &ClientMessage<'_>) -> Option<Transmit> {
         let mut transmit = Transmit {
-            destination: SocketAddr::new(self.config.server, self.config.command_port),
+            destination: self.common.server(),
             on_stream: false,
             bytes: heapless::Vec::new(),
         };

@@ -6,15 +6,12 @@
 
 mod session;
 
-use core::net::{IpAddr, SocketAddr};
-
 use crate::{
     body::{Bodies, BodiesOf, Body, CaptureTime},
     clock::{SampleUse, StampClock},
     codec::FrameFlags,
     config::{SessionConfig, Transport},
-    pose_source::{LocalEnd, Output},
-    session::{Phase, PoseFrame, RestartReason, SessionCounters, SessionEvent},
+    pose_source::{Common, LocalEnd, Output, Phase, PoseFrame, RestartReason, SessionEvent, Wake},
 };
 
 pub use session::StreamSession;
@@ -85,9 +82,6 @@ const MAX_UNCERTAINTY_NS: u64 = 1_000_000_000;
 /// otherwise, in ns.
 const EVIDENCE_NS: u64 = 1_000_000_000;
 
-/// Other addresses that are reported: each once.
-const OTHER_SOURCES: usize = 4;
-
 /// The newest frame of a body or of all bodies.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LastFrame {
@@ -105,9 +99,7 @@ impl Incoming<'_> {
         {
             (self.on_output)(Output::Event(SessionEvent::DatagramsBlocked));
         }
-        link.counters.frames += 1;
-        link.last_frame_ns = Some(now_ns);
-        link.is_stale = false;
+        link.common.frame(now_ns);
         let capture = link.capture(stamp_us, now_ns);
         (self.on_output)(Output::Frame(PoseFrame {
             number,
@@ -117,14 +109,14 @@ impl Incoming<'_> {
             definitions_current: true,
             bodies: Bodies {
                 of: BodiesOf::List(bodies.iter()),
-                up_axis: link.config.up_axis,
+                up_axis: link.common.config.up_axis,
             },
         }));
     }
 
     /// The server speaks the protocol.
     pub(crate) fn established(&mut self) {
-        self.link.phase = Phase::Open;
+        self.link.common.phase = Phase::Open;
         (self.on_output)(Output::Event(SessionEvent::Opened));
     }
 }
@@ -132,8 +124,7 @@ impl Incoming<'_> {
 /// The state of the stream and of the frames.
 #[derive(Clone, Debug)]
 pub struct Link {
-    pub(crate) config: SessionConfig,
-    phase: Phase,
+    pub(crate) common: Common,
     attempt: u32,
     /// Whether the owner is to keep the stream open.
     is_wanted: bool,
@@ -153,18 +144,12 @@ pub struct Link {
     /// When the last good datagram arrived since the stream is open.
     datagram_ns: Option<u64>,
     datagram_port: Option<u16>,
-    other_sources: heapless::Vec<IpAddr, OTHER_SOURCES>,
-    other_source: Option<IpAddr>,
     clock: StampClock,
-    last_frame_ns: Option<u64>,
-    is_stale: bool,
-    pub(crate) counters: SessionCounters,
 }
 
 impl Link {
     fn new(config: SessionConfig) -> Self {
         Self {
-            phase: Phase::Connecting,
             attempt: 0,
             is_wanted: false,
             retry_ns: 0,
@@ -176,18 +161,9 @@ impl Link {
             fell_back: false,
             datagram_ns: None,
             datagram_port: None,
-            other_sources: heapless::Vec::new(),
-            other_source: None,
             clock: StampClock::new(&config.timing),
-            last_frame_ns: None,
-            is_stale: false,
-            counters: SessionCounters::default(),
-            config,
+            common: Common::new(config),
         }
-    }
-
-    fn server(&self) -> SocketAddr {
-        SocketAddr::new(self.config.server, self.config.command_port)
     }
 
     /// Queues bytes for the stream. What a dialogue says at a time fits; a server that asks
@@ -202,7 +178,7 @@ impl Link {
 
     /// Whether the stream is open and the server has not shown that it speaks the protocol.
     fn is_mute(&self) -> bool {
-        self.local.is_some() && self.phase != Phase::Open
+        self.local.is_some() && self.common.phase != Phase::Open
     }
 
     pub(crate) const fn exchanges(&self) -> usize {
@@ -213,14 +189,14 @@ impl Link {
     pub(crate) fn exchanged(&mut self, sent_ns: u64, received_ns: u64, stamp_us: u64) {
         match self.clock.exchanged(sent_ns, received_ns, stamp_us) {
             SampleUse::Agreed => {}
-            SampleUse::Stepped => self.counters.clock_steps += 1,
+            SampleUse::Stepped => self.common.counters.clock_steps += 1,
             SampleUse::Backward => {
-                self.counters.clock_steps += 1;
-                self.clock = StampClock::new(&self.config.timing);
+                self.common.counters.clock_steps += 1;
+                self.clock = StampClock::new(&self.common.config.timing);
                 let _ = self.clock.exchanged(sent_ns, received_ns, stamp_us);
             }
         }
-        self.counters.echoes += 1;
+        self.common.counters.echoes += 1;
     }
 
     /// Whether a frame is newer than the last one. Without numbers none counts as lost.
@@ -233,7 +209,7 @@ impl Link {
         let number_now = number.unwrap_or_default();
         if let Some((newest_us, number_before)) = last.newest {
             if stamp_us == newest_us {
-                self.counters.duplicates += 1;
+                self.common.counters.duplicates += 1;
                 return false;
             }
             let ahead = number.map(|number| number.wrapping_sub(number_before));
@@ -242,14 +218,14 @@ impl Link {
                 // The next number with an older stamp is no late frame.
                 let is_set_back = ahead.is_some_and(|ahead| (1..RESTARTED).contains(&ahead));
                 if !is_set_back && last.older < SET_BACK {
-                    self.counters.late += 1;
+                    self.common.counters.late += 1;
                     return false;
                 }
-                self.counters.clock_steps += 1;
-                self.clock = StampClock::new(&self.config.timing);
+                self.common.counters.clock_steps += 1;
+                self.clock = StampClock::new(&self.common.config.timing);
             }
             let lost = ahead.filter(|ahead| (1..RESTARTED).contains(ahead));
-            self.counters.lost += u64::from(lost.unwrap_or(1).unsigned_abs() - 1);
+            self.common.counters.lost += u64::from(lost.unwrap_or(1).unsigned_abs() - 1);
         }
         *last = LastFrame {
             newest: Some((stamp_us, number_now)),
@@ -264,10 +240,7 @@ impl Link {
         if capture.uncertainty_ns > MAX_UNCERTAINTY_NS {
             return None;
         }
-        let offset_ns = self.config.timing.stamp_offset_ns;
-        let (capture, was_clamped) = capture.at_arrival(now_ns, offset_ns)?;
-        self.counters.capture_clamped += u64::from(was_clamped);
-        Some(capture)
+        self.common.at_arrival(capture, now_ns)
     }
 
     /// Lets go of the stream; it is wanted again after `pause_ns`.
@@ -278,39 +251,26 @@ impl Link {
         self.outgoing.clear();
         self.datagram_port = None;
         self.datagram_ns = None;
-        self.clock = StampClock::new(&self.config.timing);
-        if !matches!(self.phase, Phase::Foreign) {
-            self.phase = Phase::Connecting;
+        self.clock = StampClock::new(&self.common.config.timing);
+        if !matches!(self.common.phase, Phase::Foreign) {
+            self.common.phase = Phase::Connecting;
         }
     }
 
     /// Starts over.
-    fn restart(
-        &mut self,
-        now_ns: u64,
-        reason: RestartReason,
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) {
+    fn restart(&mut self, reason: RestartReason, wake: &mut Wake<'_>) {
         let pause_ns = match reason {
             // The next moment at which the owner looks.
             RestartReason::NoDatagrams => 1_000_000,
-            _ => self.config.timing.retry_ns,
+            _ => self.common.config.timing.retry_ns,
         };
         // A server that is not there is no news.
         let is_news = self.local.is_some();
-        self.let_go(now_ns, pause_ns);
+        self.let_go(wake.now_ns, pause_ns);
         if is_news {
-            self.counters.restarts += 1;
-            on_output(Output::Event(SessionEvent::DefinitionsOutdated));
-            on_output(Output::Event(SessionEvent::Restarted(reason)));
+            self.common.counters.restarts += 1;
+            wake.tell(SessionEvent::DefinitionsOutdated);
+            wake.tell(SessionEvent::Restarted(reason));
         }
-    }
-
-    fn stale_due_ns(&self) -> Option<u64> {
-        if self.is_stale {
-            return None;
-        }
-        let limit_ns = self.config.timing.stale_after_ns.saturating_add(1);
-        Some(self.last_frame_ns?.saturating_add(limit_ns))
     }
 }

@@ -1,12 +1,14 @@
 //! Keeps a stream open and hands what arrives to the dialogue.
 
-use core::net::IpAddr;
+use core::net::SocketAddr;
 
 use super::{Broken, Dialogue, Incoming, Link, Over};
 use crate::{
     config::{SessionConfig, Transport},
-    pose_source::{Input, LocalEnd, Output, PoseSource, Stream},
-    session::{MAX_LEN, Phase, RestartReason, SessionCounters, SessionEvent, Transmit},
+    pose_source::{
+        Common, Input, LocalEnd, MAX_LEN, Output, Phase, PoseSource, RestartReason, SessionEvent,
+        Stream, Transmit, Wake,
+    },
 };
 
 /// If no datagram arrives for this time, frames are requested over the stream.
@@ -40,33 +42,27 @@ impl<D: Dialogue> StreamSession<D> {
         self.dialogue.open(now_ns, &mut self.link);
     }
 
-    fn closed(&mut self, now_ns: u64, on_output: &mut dyn FnMut(Output<'_>)) {
+    fn closed(&mut self, wake: &mut Wake<'_>) {
         if self.link.is_wanted {
-            self.link
-                .restart(now_ns, RestartReason::StreamEnded, on_output);
+            self.link.restart(RestartReason::StreamEnded, wake);
         }
     }
 
     /// Reads messages until none is complete; returns how many bytes were used.
-    fn stream(
-        &mut self,
-        now_ns: u64,
-        bytes: &[u8],
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) -> usize {
+    fn stream(&mut self, bytes: &[u8], wake: &mut Wake<'_>) -> usize {
         let mut used = 0;
         while let Some(rest) = bytes.get(used..).filter(|rest| !rest.is_empty()) {
             if self.link.local.is_none() {
                 return bytes.len();
             }
-            match self.read(now_ns, rest, Over::Stream, on_output) {
+            match self.read(rest, Over::Stream, wake) {
                 Ok(Some(length)) => {
                     used += length.max(1);
-                    self.link.heard_ns = now_ns;
+                    self.link.heard_ns = wake.now_ns;
                 }
                 Ok(None) => break,
                 Err(broken) => {
-                    self.broken(now_ns, broken, on_output);
+                    self.broken(broken, wake);
                     return bytes.len();
                 }
             }
@@ -76,76 +72,68 @@ impl<D: Dialogue> StreamSession<D> {
 
     fn read(
         &mut self,
-        now_ns: u64,
         bytes: &[u8],
         over: Over,
-        on_output: &mut dyn FnMut(Output<'_>),
+        wake: &mut Wake<'_>,
     ) -> Result<Option<usize>, Broken> {
         let mut with = Incoming {
-            now_ns,
+            now_ns: wake.now_ns,
             over,
             link: &mut self.link,
-            on_output,
+            on_output: wake.on_output,
         };
         self.dialogue.read(bytes, &mut with)
     }
 
-    fn broken(&mut self, now_ns: u64, broken: Broken, on_output: &mut dyn FnMut(Output<'_>)) {
-        self.link.counters.malformed += 1;
+    fn broken(&mut self, broken: Broken, wake: &mut Wake<'_>) {
+        let link = &mut self.link;
+        link.common.counters.malformed += 1;
         match broken {
-            Broken::NoMessage => self
-                .link
-                .restart(now_ns, RestartReason::StreamBroken, on_output),
+            Broken::NoMessage => link.restart(RestartReason::StreamBroken, wake),
             Broken::Foreign => {
                 // The same answer again is reported once.
-                if !matches!(self.link.phase, Phase::Foreign) {
-                    self.link.phase = Phase::Foreign;
-                    on_output(Output::Event(SessionEvent::Foreign));
+                if !matches!(link.common.phase, Phase::Foreign) {
+                    link.common.phase = Phase::Foreign;
+                    wake.tell(SessionEvent::Foreign);
                 }
-                self.link.let_go(now_ns, self.link.config.timing.retry_ns);
+                link.let_go(wake.now_ns, link.common.config.timing.retry_ns);
             }
         }
     }
 
-    fn datagram(
-        &mut self,
-        now_ns: u64,
-        (address, port): (IpAddr, u16),
-        bytes: &[u8],
-        on_output: &mut dyn FnMut(Output<'_>),
-    ) {
+    fn datagram(&mut self, source: SocketAddr, bytes: &[u8], wake: &mut Wake<'_>) {
         let link = &mut self.link;
+        if !link.common.is_server(source.ip(), wake) {
+            return;
+        }
         // A server sends from one port.
-        if address != link.config.server || link.datagram_port.is_some_and(|known| known != port) {
-            link.counters.wrong_source += 1;
-            if address != link.config.server {
-                link.other_source = Some(address);
-                let is_news = !link.other_sources.contains(&address);
-                if is_news && link.other_sources.push(address).is_ok() {
-                    on_output(Output::Event(SessionEvent::OtherSource(address)));
-                }
-            }
+        let counters = &mut link.common.counters;
+        if link
+            .datagram_port
+            .is_some_and(|known| known != source.port())
+        {
+            counters.wrong_source += 1;
             return;
         }
-        if link.phase != Phase::Open {
-            link.counters.early += 1;
+        if link.common.phase != Phase::Open {
+            counters.early += 1;
             return;
         }
-        let frames = link.counters.frames;
+        let frames = counters.frames;
         let mut rest = bytes;
         while !rest.is_empty() && self.link.local.is_some() {
-            let Ok(Some(length)) = self.read(now_ns, rest, Over::Datagram, on_output) else {
-                self.link.counters.malformed += 1;
+            let Ok(Some(length)) = self.read(rest, Over::Datagram, wake) else {
+                self.link.common.counters.malformed += 1;
                 return;
             };
             rest = rest.get(length.max(1)..).unwrap_or_default();
         }
         // What is no frame must not keep the server's port out.
-        if self.link.counters.frames > frames {
-            self.link.datagram_port = Some(port);
+        if self.link.common.counters.frames > frames {
+            self.link.datagram_port = Some(source.port());
         }
-        self.link.datagram_ns = Some(now_ns);
-        self.link.heard_ns = now_ns;
+        self.link.datagram_ns = Some(wake.now_ns);
+        self.link.heard_ns = wake.now_ns;
     }
 
     /// When the owner's stream, or the server behind it, has been silent for too long.
@@ -153,7 +141,7 @@ impl<D: Dialogue> StreamSession<D> {
         self.link
             .since_ns
             .max(self.link.heard_ns)
-            .saturating_add(self.link.config.timing.reconnect_after_ns)
+            .saturating_add(self.link.common.config.timing.reconnect_after_ns)
     }
 
     /// When it is clear that no datagram arrives, or none any more. Nobody may be seen, too: then
@@ -161,8 +149,9 @@ impl<D: Dialogue> StreamSession<D> {
     fn datagrams_due_ns(&self) -> Option<u64> {
         let link = &self.link;
         // A server may send its frames over the stream by itself.
-        let heard_ns = link.datagram_ns.or(link.last_frame_ns).unwrap_or_default();
-        (link.phase == Phase::Open && !link.over_stream).then_some(
+        let heard_ns = link.datagram_ns.or(link.common.last_frame_ns);
+        let heard_ns = heard_ns.unwrap_or_default();
+        (link.common.phase == Phase::Open && !link.over_stream).then_some(
             link.since_ns
                 .max(heard_ns)
                 .saturating_add(DATAGRAMS_WITHIN_NS),
@@ -177,61 +166,55 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
         input: Input<'_>,
         on_output: &mut dyn FnMut(Output<'_>),
     ) -> usize {
-        if matches!(self.link.phase, Phase::Closing | Phase::Closed) {
+        if self.link.common.is_closing() {
             return 0;
         }
+        let wake = &mut Wake { now_ns, on_output };
         match input {
-            Input::Datagram { source, bytes } => {
-                self.datagram(now_ns, (source.ip(), source.port()), bytes, on_output);
-            }
+            Input::Datagram { source, bytes } => self.datagram(source, bytes, wake),
             Input::Opened(local) => self.opened(now_ns, local),
-            Input::Stream(bytes) => return self.stream(now_ns, bytes, on_output),
-            Input::Closed => self.closed(now_ns, on_output),
+            Input::Stream(bytes) => return self.stream(bytes, wake),
+            Input::Closed => self.closed(wake),
         }
         0
     }
 
     fn handle_timeout(&mut self, now_ns: u64, on_output: &mut dyn FnMut(Output<'_>)) {
-        if matches!(self.link.phase, Phase::Closing | Phase::Closed) {
+        if self.link.common.is_closing() {
             return;
         }
-        if self
-            .link
-            .stale_due_ns()
-            .is_some_and(|due_ns| now_ns >= due_ns)
-        {
-            self.link.is_stale = true;
-            self.link.counters.stale += 1;
-            on_output(Output::Event(SessionEvent::Stale));
-        }
-        if !self.link.is_wanted {
-            if now_ns >= self.link.retry_ns {
-                self.link.is_wanted = true;
-                self.link.attempt = self.link.attempt.wrapping_add(1);
-                self.link.since_ns = now_ns;
+        let wake = &mut Wake { now_ns, on_output };
+        self.link.common.notice_silence(wake);
+        let (is_silent, lacks_datagrams) = (
+            now_ns >= self.silence_due_ns(),
+            self.datagrams_due_ns()
+                .is_some_and(|due_ns| now_ns >= due_ns),
+        );
+        let link = &mut self.link;
+        if !link.is_wanted {
+            if now_ns >= link.retry_ns {
+                link.is_wanted = true;
+                link.attempt = link.attempt.wrapping_add(1);
+                link.since_ns = now_ns;
             }
-        } else if now_ns >= self.silence_due_ns() && self.link.is_mute() {
-            self.broken(now_ns, Broken::Foreign, on_output);
-        } else if now_ns >= self.silence_due_ns() {
-            self.link.over_stream = self.link.config.transport == Transport::Stream;
-            self.link.fell_back = false;
-            self.link.restart(now_ns, RestartReason::Silence, on_output);
-        } else if self
-            .datagrams_due_ns()
-            .is_some_and(|due_ns| now_ns >= due_ns)
-        {
-            self.link.over_stream = true;
-            self.link.fell_back = true;
-            self.link
-                .restart(now_ns, RestartReason::NoDatagrams, on_output);
+        } else if is_silent && link.is_mute() {
+            self.broken(Broken::Foreign, wake);
+        } else if is_silent {
+            link.over_stream = link.common.config.transport == Transport::Stream;
+            link.fell_back = false;
+            link.restart(RestartReason::Silence, wake);
+        } else if lacks_datagrams {
+            link.over_stream = true;
+            link.fell_back = true;
+            link.restart(RestartReason::NoDatagrams, wake);
         }
     }
 
     fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
-        if self.link.phase == Phase::Closing {
-            self.link.phase = Phase::Closed;
+        if self.link.common.phase == Phase::Closing {
+            self.link.common.phase = Phase::Closed;
         }
-        if self.link.phase == Phase::Closed || self.link.local.is_none() {
+        if self.link.common.phase == Phase::Closed || self.link.local.is_none() {
             return None;
         }
         self.dialogue.poll(now_ns, &mut self.link);
@@ -243,7 +226,7 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
             let _ = bytes.push(byte);
         }
         (!bytes.is_empty()).then(|| Transmit {
-            destination: self.link.server(),
+            destination: self.link.common.server(),
             on_stream: true,
             bytes,
         })
@@ -251,7 +234,7 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
 
     fn poll_timeout(&self) -> Option<u64> {
         let link = &self.link;
-        match link.phase {
+        match link.common.phase {
             Phase::Closed => return None,
             Phase::Closing => return Some(0),
             _ => {}
@@ -265,7 +248,7 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
         [
             Some(wake_ns),
             says_ns,
-            link.stale_due_ns(),
+            link.common.stale_due_ns(),
             self.datagrams_due_ns(),
         ]
         .into_iter()
@@ -274,9 +257,9 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
     }
 
     fn stream(&self) -> Option<Stream> {
-        let is_open = !matches!(self.link.phase, Phase::Closing | Phase::Closed);
+        let is_open = !self.link.common.is_closing();
         (is_open && self.link.is_wanted).then(|| Stream {
-            server: self.link.server(),
+            server: self.link.common.server(),
             attempt: self.link.attempt,
         })
     }
@@ -285,30 +268,11 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
         self.dialogue.names_incomplete();
     }
 
-    fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
-        self.link.config.timing.stamp_offset_ns = offset_ns;
+    fn common(&self) -> &Common {
+        &self.link.common
     }
 
-    fn close(&mut self) {
-        self.link.phase = Phase::Closing;
-    }
-
-    fn phase(&self) -> Phase {
-        self.link.phase
-    }
-
-    fn stale_for_ns(&self, now_ns: u64) -> Option<u64> {
-        self.link
-            .last_frame_ns
-            .map(|last_ns| now_ns.saturating_sub(last_ns))
-            .filter(|silent_ns| *silent_ns > self.link.config.timing.stale_after_ns)
-    }
-
-    fn other_source(&self) -> Option<IpAddr> {
-        self.link.other_source
-    }
-
-    fn counters(&self) -> SessionCounters {
-        self.link.counters
+    fn common_mut(&mut self) -> &mut Common {
+        &mut self.link.common
     }
 }

@@ -110,7 +110,6 @@ impl<'a> Message<'a> {
     }
 
     /// The name in a description of a sender or of a type, if there is one.
-    #[must_use]
     pub fn described(&self) -> Option<&'a [u8]> {
         let (length, rest) = u32_of(self.body)?;
         let name = rest.get(..length as usize)?;
@@ -122,7 +121,6 @@ impl<'a> Message<'a> {
     }
 
     /// The pose in a message of the type [`POSE`], if it is one.
-    #[must_use]
     pub fn pose(&self) -> Option<Pose> {
         let (sensor, rest) = u32_of(self.body)?;
         let numbers = rest.get(4..)?;
@@ -144,7 +142,6 @@ impl<'a> Message<'a> {
 }
 
 /// The body of a description of a sender or of a type.
-#[must_use]
 pub fn description(name: impl AsRef<[u8]>) -> heapless::Vec<u8, 128> {
     let name = name.as_ref();
     let mut body = heapless::Vec::new();
@@ -158,7 +155,6 @@ pub fn description(name: impl AsRef<[u8]>) -> heapless::Vec<u8, 128> {
 
 impl Pose {
     /// The body of a message of the type [`POSE`].
-    #[must_use]
     pub fn body(&self) -> heapless::Vec<u8, 64> {
         let mut body = heapless::Vec::new();
         // 64 bytes: they fit.

@@ -138,7 +138,7 @@ impl VrpnDialogue {
             self.ask_as(now_ns, &name, link);
         }
         self.ping_due_ns = now_ns;
-        self.ping_every_ns = link.config.timing.echo_ns;
+        self.ping_every_ns = link.common.config.timing.echo_ns;
     }
 
     /// The server's object of this name answers pings.
@@ -158,10 +158,12 @@ impl VrpnDialogue {
         let kind = Some(message.kind);
         match message.kind {
             // Names and clock come on the stream, which nobody else can write to.
-            _ if with.over == Over::Datagram && kind != self.pose => link.counters.unsolicited += 1,
+            _ if with.over == Over::Datagram && kind != self.pose => {
+                link.common.counters.unsolicited += 1;
+            }
             SENDER_DESCRIPTION | TYPE_DESCRIPTION => {
                 let Some(name) = message.described() else {
-                    link.counters.malformed += 1;
+                    link.common.counters.malformed += 1;
                     return;
                 };
                 if message.kind == TYPE_DESCRIPTION {
@@ -178,7 +180,7 @@ impl VrpnDialogue {
             }
             _ if kind == self.pose => match message.pose() {
                 Some(pose) => self.pose(message, &pose, with),
-                None => link.counters.malformed += 1,
+                None => link.common.counters.malformed += 1,
             },
             _ if kind == self.pong => {
                 let sent_ns = self.ping_sent_ns.take();
@@ -186,7 +188,7 @@ impl VrpnDialogue {
                 if let Some(sent_ns) = sent_ns.filter(is_quick) {
                     link.exchanged(sent_ns, now_ns, message.stamp_us);
                 } else {
-                    link.counters.unsolicited += 1;
+                    link.common.counters.unsolicited += 1;
                 }
             }
             _ if kind == self.ping => self.say(now_ns, OUR_SENDER, OUR_PONG, &[], link),
@@ -213,7 +215,7 @@ impl VrpnDialogue {
     fn pose(&mut self, message: &Message<'_>, pose: &Pose, with: &mut Incoming<'_>) {
         let (link, now_ns) = (&mut *with.link, with.now_ns);
         let Some(name) = self.senders.name(message.sender) else {
-            link.counters.early += 1;
+            link.common.counters.early += 1;
             return;
         };
         let is_followed = match &self.follow {
@@ -274,7 +276,8 @@ fn state(pose: &Pose, link: &Link) -> BodyState {
     if zeros {
         return BodyState::Untracked;
     }
-    link.config
+    link.common
+        .config
         .reading()
         .state(pose.position_m, pose.orientation_xyzw, 0.0)
 }
@@ -286,7 +289,7 @@ impl Dialogue for VrpnDialogue {
             number: self.number,
             ..Self::new(self.sensor, None)
         };
-        self.ping_due_ns = now_ns.saturating_add(link.config.timing.reconnect_after_ns);
+        self.ping_due_ns = now_ns.saturating_add(link.common.config.timing.reconnect_after_ns);
         link.say(&COOKIE);
     }
 

@@ -9,13 +9,16 @@ use natnet::{DataSet, Decoder, FrameOfData, Message, ParsePolicy, Version};
 use proptest::prelude::*;
 use singletrack_mocap::{
     codec::{
-        BitstreamVersion, Connection, DataChannel, Frame, RigidBodyDefinition, ServerInfo,
-        ServerMessage, UnsupportedVersion,
+        BitstreamVersion, Connection, DataChannel, Frame, ServerInfo, ServerMessage,
+        UnsupportedVersion,
     },
-    encode::{self, Dataset, DefinitionMarker},
+    encode,
 };
 
-use crate::{any_frame, encoded};
+use crate::{
+    any_frame, encoded,
+    models::{OwnedDataset, encode_all},
+};
 
 /// The versions that both decoders read.
 const SHARED: [BitstreamVersion; 4] = [
@@ -81,28 +84,14 @@ proptest! {
 
 #[test]
 fn model_definitions_are_read_to_the_same_values() {
-    let definition = RigidBodyDefinition {
-        name: b"car",
-        id: 42,
-        parent_id: -1,
-        offset_m: [0.1, 0.2, 0.3],
-    };
+    let marker = ([1.0, 2.0, 3.0], 5, "front".to_owned());
+    let body = ("car".to_owned(), 42, -1, [0.1, 0.2, 0.3]);
     let datasets = [
-        Dataset::MarkerSet {
-            name: "all",
-            marker_names: &["a", "b"],
-        },
-        Dataset::RigidBody {
-            definition,
-            markers: &[DefinitionMarker {
-                position_m: [1.0, 2.0, 3.0],
-                label: 5,
-                name: "front",
-            }],
-        },
+        OwnedDataset::MarkerSet("all".to_owned(), vec!["a".to_owned(), "b".to_owned()]),
+        OwnedDataset::RigidBody(body, vec![marker]),
     ];
     for version in SHARED {
-        let datagram = encoded(|out| encode::model_definitions(version, &datasets, out));
+        let datagram = encode_all(&datasets, version);
         let Message::ModelDef(theirs) = decode(&datagram, version) else {
             panic!("not model definitions");
         };
@@ -110,10 +99,10 @@ fn model_definitions_are_read_to_the_same_values() {
             panic!("not the datasets written: {theirs:?}");
         };
         assert_eq!(set.marker_names, ["a", "b"]);
-        assert_eq!(body.name.as_bytes(), definition.name);
-        assert_eq!(body.id, definition.id);
-        assert_eq!(body.parent_id, definition.parent_id);
-        assert_eq!(body.offset, definition.offset_m);
+        assert_eq!(body.name, "car");
+        assert_eq!(body.id, 42);
+        assert_eq!(body.parent_id, -1);
+        assert_eq!(body.offset, [0.1, 0.2, 0.3]);
     }
 }
 

@@ -15,10 +15,7 @@ mod round_trip;
 use proptest::{collection::vec, prelude::*};
 use singletrack_mocap::{
     codec::{BitstreamVersion, CameraTicks, FrameFlags, PrecisionTime, RigidBody},
-    encode::{
-        self, AnalogDevice, Asset, BodyMarker, FrameContent, LabelledMarker, MarkerSet, Sections,
-        Skeleton,
-    },
+    encode::LabelledMarker,
 };
 
 /// Every named version, and one after 2.11.
@@ -57,12 +54,100 @@ fn encoded<E: core::fmt::Debug>(encode: impl FnOnce(&mut [u8]) -> Result<usize, 
     buffer
 }
 
+/// Whether a version is at least this one.
+pub(crate) fn at_least(version: BitstreamVersion, major: u8, minor: u8) -> bool {
+    version >= BitstreamVersion::new(major, minor).unwrap()
+}
+
+/// A datagram in the making, with whatever servers send.
+pub(crate) struct Draft {
+    bytes: Vec<u8>,
+    pub(crate) version: BitstreamVersion,
+}
+
+impl Draft {
+    pub(crate) fn new(id: u16, version: BitstreamVersion) -> Self {
+        let mut bytes = id.to_le_bytes().to_vec();
+        bytes.extend([0, 0]);
+        Self { bytes, version }
+    }
+
+    pub(crate) fn finished(self) -> Vec<u8> {
+        with_fitting_header(self.bytes)
+    }
+
+    pub(crate) fn at_least(&self, major: u8, minor: u8) -> bool {
+        at_least(self.version, major, minor)
+    }
+
+    pub(crate) fn bytes(&mut self, bytes: &[u8]) {
+        self.bytes.extend_from_slice(bytes);
+    }
+
+    pub(crate) fn i32(&mut self, value: i32) {
+        self.bytes(&value.to_le_bytes());
+    }
+
+    pub(crate) fn f32s(&mut self, values: &[f32]) {
+        values.iter().for_each(|it| self.bytes(&it.to_le_bytes()));
+    }
+
+    pub(crate) fn text(&mut self, text: &str) {
+        self.bytes(text.as_bytes());
+        self.bytes(&[0]);
+    }
+
+    /// The number of entries, then each.
+    pub(crate) fn list<T>(&mut self, entries: &[T], write: impl Fn(&mut Self, &T)) {
+        self.i32(i32::try_from(entries.len()).unwrap());
+        entries.iter().for_each(|entry| write(self, entry));
+    }
+
+    /// What `write` writes, after its size from 4.1 on.
+    pub(crate) fn sized(&mut self, write: impl FnOnce(&mut Self)) {
+        let mut part = Self {
+            bytes: vec![],
+            version: self.version,
+        };
+        write(&mut part);
+        if self.at_least(4, 1) {
+            self.i32(i32::try_from(part.bytes.len()).unwrap());
+        }
+        self.bytes(&part.bytes);
+    }
+
+    fn section<T>(&mut self, entries: &[T], write: impl Fn(&mut Self, &T)) {
+        self.i32(i32::try_from(entries.len()).unwrap());
+        self.sized(|part| entries.iter().for_each(|entry| write(part, entry)));
+    }
+
+    fn labelled_marker(&mut self, marker: &LabelledMarker) {
+        self.i32(marker.id);
+        self.f32s(&marker.position_m);
+        self.f32s(&[marker.size_m]);
+        self.bytes(&marker.params.to_le_bytes());
+        if self.at_least(3, 0) {
+            self.f32s(&[marker.residual_m]);
+        }
+    }
+
+    fn analog_device(&mut self, (id, channels): &(i32, Vec<Vec<f32>>)) {
+        self.i32(*id);
+        self.list(channels, |draft, samples| {
+            draft.list(samples, |draft, sample| draft.f32s(&[*sample]));
+        });
+    }
+}
+
+/// A marker of a body, before 3.0: position, id, size.
+pub(crate) type BodyMarker = ([f32; 3], i32, f32);
+
 /// The content of a frame, owned.
 #[derive(Clone, Debug)]
 pub(crate) struct AnyFrame {
     pub(crate) number: i32,
     pub(crate) rigid_bodies: Vec<RigidBody>,
-    body_markers: Vec<BodyMarker>,
+    pub(crate) body_markers: Vec<BodyMarker>,
     pub(crate) marker_sets: Vec<(String, Vec<[f32; 3]>)>,
     pub(crate) other_markers: Vec<[f32; 3]>,
     pub(crate) skeletons: Vec<(i32, Vec<RigidBody>)>,
@@ -81,68 +166,74 @@ pub(crate) struct AnyFrame {
 impl AnyFrame {
     /// The frame in a version, without the sections that the version does not have.
     pub(crate) fn encode(&self, version: BitstreamVersion) -> Vec<u8> {
-        let at_least = |major, minor| version >= BitstreamVersion::new(major, minor).unwrap();
-        let marker_sets: Vec<_> = self
-            .marker_sets
-            .iter()
-            .map(|(name, markers_m)| MarkerSet { name, markers_m })
-            .collect();
-        let skeletons: Vec<_> = self
-            .skeletons
-            .iter()
-            .map(|(id, bones)| Skeleton { id: *id, bones })
-            .collect();
-        let assets: Vec<_> = self
-            .assets
-            .iter()
-            .filter(|_| at_least(4, 1))
-            .map(|(id, rigid_bodies, markers)| Asset {
-                id: *id,
-                rigid_bodies,
-                markers,
-            })
-            .collect();
-        let force_plate_channels = channels(&self.force_plates, at_least(2, 9));
-        let device_channels = channels(&self.devices, at_least(2, 11));
-        encoded(|out| {
-            let content = FrameContent {
-                number: self.number,
-                rigid_bodies: &self.rigid_bodies,
-                body_markers: &self.body_markers,
-                sections: Sections {
-                    marker_sets: &marker_sets,
-                    other_markers: &self.other_markers,
-                    skeletons: &skeletons,
-                    assets: &assets,
-                    labelled_markers: &self.labelled_markers,
-                    force_plates: &analog_devices(&force_plate_channels),
-                    devices: &analog_devices(&device_channels),
-                },
-                timecode: self.timecode,
-                timestamp_s: self.timestamp_s,
-                ticks: self.ticks,
-                precision_time: self.precision_time,
-                latency: self.latency,
-                flags: self.flags,
-            };
-            encode::frame(version, &content, out)
-        })
+        let mut draft = Draft::new(7, version);
+        let body = |draft: &mut Draft, body: &RigidBody| self.rigid_body(draft, body);
+        draft.i32(self.number);
+        draft.section(&self.marker_sets, |draft, (name, markers)| {
+            draft.text(name);
+            draft.list(markers, |draft, marker| draft.f32s(marker));
+        });
+        draft.section(&self.other_markers, |draft, marker| draft.f32s(marker));
+        draft.section(&self.rigid_bodies, body);
+        draft.section(&self.skeletons, |draft, (id, bones)| {
+            draft.i32(*id);
+            draft.list(bones, body);
+        });
+        if draft.at_least(4, 1) {
+            draft.section(&self.assets, |draft, (id, bodies, markers)| {
+                draft.i32(*id);
+                draft.list(bodies, body);
+                draft.list(markers, Draft::labelled_marker);
+            });
+        }
+        draft.section(&self.labelled_markers, Draft::labelled_marker);
+        if draft.at_least(2, 9) {
+            draft.section(&self.force_plates, Draft::analog_device);
+        }
+        if draft.at_least(2, 11) {
+            draft.section(&self.devices, Draft::analog_device);
+        }
+        if !draft.at_least(3, 0) {
+            draft.f32s(&[self.latency]);
+        }
+        for word in self.timecode {
+            draft.bytes(&word.to_le_bytes());
+        }
+        draft.bytes(&self.timestamp_s.to_le_bytes());
+        if draft.at_least(3, 0) {
+            let CameraTicks {
+                mid_exposure,
+                received,
+                transmit,
+            } = self.ticks;
+            for ticks in [mid_exposure, received, transmit] {
+                draft.bytes(&ticks.to_le_bytes());
+            }
+        }
+        if draft.at_least(4, 1) {
+            draft.bytes(&self.precision_time.seconds.to_le_bytes());
+            draft.bytes(&self.precision_time.fraction.to_le_bytes());
+        }
+        draft.bytes(&self.flags.0.to_le_bytes());
+        draft.i32(0);
+        draft.finished()
     }
-}
 
-fn channels(devices: &[(i32, Vec<Vec<f32>>)], exists: bool) -> Vec<(i32, Vec<&[f32]>)> {
-    devices
-        .iter()
-        .filter(|_| exists)
-        .map(|(id, channels)| (*id, channels.iter().map(Vec::as_slice).collect()))
-        .collect()
-}
-
-fn analog_devices<'a>(devices: &'a [(i32, Vec<&'a [f32]>)]) -> Vec<AnalogDevice<'a>> {
-    devices
-        .iter()
-        .map(|(id, channels)| AnalogDevice { id: *id, channels })
-        .collect()
+    fn rigid_body(&self, draft: &mut Draft, body: &RigidBody) {
+        draft.i32(body.id);
+        draft.f32s(&body.position_m);
+        draft.f32s(&body.orientation_xyzw);
+        if !draft.at_least(3, 0) {
+            let markers = &self.body_markers;
+            draft.list(markers, |draft, (position_m, ..)| draft.f32s(position_m));
+            markers.iter().for_each(|(_, id, _)| draft.i32(*id));
+            markers
+                .iter()
+                .for_each(|(.., size_m)| draft.f32s(&[*size_m]));
+        }
+        draft.f32s(&[body.mean_error_m]);
+        draft.bytes(&body.params.to_le_bytes());
+    }
 }
 
 pub(crate) fn number() -> impl Strategy<Value = f32> {
@@ -186,11 +277,7 @@ fn labelled_marker() -> impl Strategy<Value = LabelledMarker> {
 }
 
 fn body_marker() -> impl Strategy<Value = BodyMarker> {
-    (vector(), any::<i32>(), number()).prop_map(|(position_m, id, size_m)| BodyMarker {
-        position_m,
-        id,
-        size_m,
-    })
+    (vector(), any::<i32>(), number())
 }
 
 fn analog() -> impl Strategy<Value = Vec<(i32, Vec<Vec<f32>>)>> {

@@ -3,21 +3,23 @@
 use proptest::{collection::vec, prelude::*};
 use singletrack_mocap::{
     codec::{BitstreamVersion, DecodeError, ModelDefinitions, RigidBodyDefinition, ServerMessage},
-    encode::{self, Dataset, DefinitionMarker},
+    encode::{self, Dataset},
 };
 
-use crate::{all_versions, encoded, name, number, with_fitting_header};
+use crate::{Draft, all_versions, encoded, name, number, with_fitting_header};
 
-type OwnedBody = (String, i32, i32, [f32; 3]);
+pub(crate) type OwnedBody = (String, i32, i32, [f32; 3]);
 
 #[derive(Clone, Debug)]
-enum OwnedDataset {
+pub(crate) enum OwnedDataset {
     RigidBody(OwnedBody, Vec<([f32; 3], i32, String)>),
     MarkerSet(String, Vec<String>),
     Skeleton(String, i32, Vec<OwnedBody>),
     ForcePlate,
     Device,
     Camera,
+    /// Type and bytes.
+    Other(i32, &'static [u8]),
 }
 
 fn body() -> impl Strategy<Value = OwnedBody> {
@@ -62,9 +64,7 @@ fn force_plate() -> Vec<u8> {
 }
 
 /// id, name, serial, two types, one channel.
-fn device() -> Vec<u8> {
-    b"\x05\0\0\0NI\x001234\0\x01\0\0\0\x02\0\0\0\x01\0\0\0ai0\0".to_vec()
-}
+const DEVICE: &[u8] = b"\x05\0\0\0NI\x001234\0\x01\0\0\0\x02\0\0\0\x01\0\0\0ai0\0";
 
 /// name, position, orientation.
 fn camera() -> Vec<u8> {
@@ -73,68 +73,54 @@ fn camera() -> Vec<u8> {
     bytes
 }
 
-fn encode_all(datasets: &[OwnedDataset], version: BitstreamVersion) -> Vec<u8> {
-    let (force_plate, device, camera) = (force_plate(), device(), camera());
-    let markers: Vec<Vec<DefinitionMarker<'_>>> = datasets
-        .iter()
-        .map(|dataset| match dataset {
-            OwnedDataset::RigidBody(_, markers) => markers
-                .iter()
-                .map(|(position_m, label, name)| DefinitionMarker {
-                    position_m: *position_m,
-                    label: *label,
-                    name,
-                })
-                .collect(),
-            _ => vec![],
-        })
-        .collect();
-    let names: Vec<Vec<&str>> = datasets
-        .iter()
-        .map(|dataset| match dataset {
-            OwnedDataset::MarkerSet(_, names) => names.iter().map(String::as_str).collect(),
-            _ => vec![],
-        })
-        .collect();
-    let bones: Vec<Vec<RigidBodyDefinition<'_>>> = datasets
-        .iter()
-        .map(|dataset| match dataset {
-            OwnedDataset::Skeleton(_, _, bones) => bones.iter().map(definition).collect(),
-            _ => vec![],
-        })
-        .collect();
-    let borrowed: Vec<Dataset<'_>> = datasets
-        .iter()
-        .enumerate()
-        .map(|(index, dataset)| match dataset {
-            OwnedDataset::RigidBody(body, _) => Dataset::RigidBody {
-                definition: definition(body),
-                markers: &markers[index],
-            },
-            OwnedDataset::MarkerSet(name, _) => Dataset::MarkerSet {
-                name,
-                marker_names: &names[index],
-            },
-            OwnedDataset::Skeleton(name, id, _) => Dataset::Skeleton {
-                name,
-                id: *id,
-                bones: &bones[index],
-            },
-            OwnedDataset::ForcePlate => Dataset::Other {
-                type_id: 3,
-                body: &force_plate,
-            },
-            OwnedDataset::Device => Dataset::Other {
-                type_id: 4,
-                body: &device,
-            },
-            OwnedDataset::Camera => Dataset::Other {
-                type_id: 5,
-                body: &camera,
-            },
-        })
-        .collect();
-    encoded(|out| encode::model_definitions(version, &borrowed, out))
+fn write_body(draft: &mut Draft, body: &OwnedBody, markers: &[([f32; 3], i32, String)]) {
+    let (name, id, parent_id, offset_m) = body;
+    draft.text(name);
+    draft.i32(*id);
+    draft.i32(*parent_id);
+    draft.f32s(offset_m);
+    if draft.at_least(4, 2) {
+        draft.f32s(&[0.0, 0.0, 0.0, 1.0]);
+    }
+    if draft.at_least(3, 0) {
+        draft.list(markers, |draft, (position_m, ..)| draft.f32s(position_m));
+        markers.iter().for_each(|(_, label, _)| draft.i32(*label));
+        if draft.at_least(4, 0) {
+            markers.iter().for_each(|(.., name)| draft.text(name));
+        }
+    }
+}
+
+pub(crate) fn encode_all(datasets: &[OwnedDataset], version: BitstreamVersion) -> Vec<u8> {
+    let mut draft = Draft::new(5, version);
+    draft.list(datasets, |draft, dataset| {
+        draft.i32(match dataset {
+            OwnedDataset::MarkerSet(..) => 0,
+            OwnedDataset::RigidBody(..) => 1,
+            OwnedDataset::Skeleton(..) => 2,
+            OwnedDataset::ForcePlate => 3,
+            OwnedDataset::Device => 4,
+            OwnedDataset::Camera => 5,
+            OwnedDataset::Other(kind, _) => *kind,
+        });
+        draft.sized(|draft| match dataset {
+            OwnedDataset::MarkerSet(name, names) => {
+                draft.text(name);
+                draft.list(names, |draft, name| draft.text(name));
+            }
+            OwnedDataset::RigidBody(body, markers) => write_body(draft, body, markers),
+            OwnedDataset::Skeleton(name, id, bones) => {
+                draft.text(name);
+                draft.i32(*id);
+                draft.list(bones, |draft, bone| write_body(draft, bone, &[]));
+            }
+            OwnedDataset::ForcePlate => draft.bytes(&force_plate()),
+            OwnedDataset::Device => draft.bytes(DEVICE),
+            OwnedDataset::Camera => draft.bytes(&camera()),
+            OwnedDataset::Other(_, body) => draft.bytes(body),
+        });
+    });
+    draft.finished()
 }
 
 fn decode(datagram: &[u8], version: BitstreamVersion) -> Result<ModelDefinitions<'_>, DecodeError> {
@@ -159,6 +145,27 @@ proptest! {
             let definitions = decode(&datagram, version).unwrap();
             prop_assert_eq!(definitions.dataset_count, datasets.len());
             prop_assert_eq!(definitions.rigid_bodies().collect::<Vec<_>>(), expected.clone());
+        }
+    }
+
+    #[test]
+    fn the_encoder_writes_the_same_bytes(
+        set in (name(), vec(name(), 0..4)),
+        body in body(),
+    ) {
+        let (set_name, marker_names) = &set;
+        let marker_names: Vec<_> = marker_names.iter().map(String::as_str).collect();
+        let datasets = [
+            Dataset::MarkerSet { name: set_name, marker_names: &marker_names },
+            Dataset::RigidBody(definition(&body)),
+        ];
+        let own = [
+            OwnedDataset::MarkerSet(set.0.clone(), set.1.clone()),
+            OwnedDataset::RigidBody(body.clone(), vec![]),
+        ];
+        for version in all_versions() {
+            let datagram = encoded(|out| encode::model_definitions(version, &datasets, out));
+            prop_assert_eq!(datagram, encode_all(&own, version));
         }
     }
 
@@ -202,19 +209,11 @@ proptest! {
 #[test]
 fn an_unknown_dataset_is_skipped_by_size_or_refused_by_type() {
     let datasets = [
-        Dataset::Other {
-            type_id: 77,
-            body: &[1, 2, 3, 4, 5],
-        },
-        Dataset::rigid_body(RigidBodyDefinition {
-            name: b"car",
-            id: 4,
-            parent_id: -1,
-            offset_m: [0.0; 3],
-        }),
+        OwnedDataset::Other(77, &[1, 2, 3, 4, 5]),
+        OwnedDataset::RigidBody(("car".to_owned(), 4, -1, [0.0; 3]), vec![]),
     ];
     for version in all_versions() {
-        let datagram = encoded(|out| encode::model_definitions(version, &datasets, out));
+        let datagram = encode_all(&datasets, version);
         let definitions = decode(&datagram, version);
         if version >= BitstreamVersion::V4_1 {
             let ids: Vec<i32> = definitions
@@ -238,27 +237,19 @@ fn an_unknown_dataset_is_skipped_by_size_or_refused_by_type() {
 
 #[test]
 fn a_definition_that_can_t_be_read_is_skipped_by_its_size() {
-    let named = |name, id| {
-        Dataset::rigid_body(RigidBodyDefinition {
-            name,
-            id,
-            parent_id: -1,
-            offset_m: [0.0; 3],
-        })
-    };
-    // Its name has no end.
-    let broken = Dataset::Other {
-        type_id: 1,
-        body: b"cut off",
-    };
+    let named = |name: &str, id| OwnedDataset::RigidBody((name.into(), id, -1, [0.0; 3]), vec![]);
     let datasets = [
-        named(b"first", 1),
-        broken,
-        named(b"T\xfcr", 2),
-        named(b"car", 3),
+        named("first", 1),
+        // Its name has no end.
+        OwnedDataset::Other(1, b"cut off"),
+        named("T@r", 2),
+        named("car", 3),
     ];
     for version in all_versions() {
-        let datagram = encoded(|out| encode::model_definitions(version, &datasets, out));
+        let mut datagram = encode_all(&datasets, version);
+        // In another encoding than UTF-8.
+        let at = datagram.iter().position(|byte| *byte == b'@').unwrap();
+        datagram[at] = 0xfc;
         let definitions = decode(&datagram, version);
         if version < BitstreamVersion::V4_1 {
             assert!(definitions.is_err(), "{version}");

@@ -3,8 +3,8 @@
 use std::{f64::consts::FRAC_1_SQRT_2, num::NonZeroU64};
 
 use singletrack_mocap::{
-    Binding, BodyPose, BodyState, CaptureTimeSource, DatagramOutcome, InvalidBody, PoseFrame,
-    Session, SessionConfig, SessionEvent, UpAxis,
+    Binding, BodyPose, BodyState, CaptureTimeSource, Input, InvalidBody, Output, PoseFrame,
+    PoseSource as _, Session, SessionConfig, SessionEvent, UpAxis,
     codec::{
         BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
         RigidBody, RigidBodyDefinition, ServerInfo,
@@ -59,10 +59,20 @@ impl Bench {
 
     fn reply(&mut self, encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>) {
         let len = encode(&mut self.buffer).unwrap();
-        let (datagram, events) = (&self.buffer[..len], &mut self.events);
+        self.receive(len, &mut |_| {});
+    }
+
+    /// Hands over the first bytes of the buffer. Events are kept.
+    fn receive(&mut self, len: usize, on_output: &mut dyn FnMut(Output<'_>)) {
+        let input = Input::Datagram {
+            source: SERVER,
+            bytes: &self.buffer[..len],
+        };
+        let events = &mut self.events;
         self.session
-            .handle_datagram(self.now_ns, SERVER, datagram, &mut |event| {
-                events.push(event);
+            .handle_input(self.now_ns, input, &mut |output| match output {
+                Output::Event(event) => events.push(event),
+                output => on_output(output),
             });
     }
 
@@ -82,8 +92,17 @@ impl Bench {
         }
     }
 
-    /// A frame that was captured 8 ms before it arrives.
-    fn frame(&mut self, bodies: &[RigidBody], flags: FrameFlags) -> PoseFrame<'_> {
+    /// A frame that was captured 8 ms before it arrives, without flags.
+    fn frame<T>(&mut self, bodies: &[RigidBody], of: impl Fn(&PoseFrame<'_>) -> T) -> T {
+        self.flagged(bodies, FrameFlags::default(), of)
+    }
+
+    fn flagged<T>(
+        &mut self,
+        bodies: &[RigidBody],
+        flags: FrameFlags,
+        of: impl Fn(&PoseFrame<'_>) -> T,
+    ) -> T {
         self.now_ns += 10 * MS;
         self.number += 1;
         let content = FrameContent {
@@ -99,16 +118,12 @@ impl Bench {
             ..FrameContent::default()
         };
         let len = encode::frame(VERSION, &content, &mut self.buffer).unwrap();
-        let (datagram, events) = (&self.buffer[..len], &mut self.events);
-        let outcome = self
-            .session
-            .handle_datagram(self.now_ns, SERVER, datagram, &mut |event| {
-                events.push(event);
-            });
-        match outcome {
-            DatagramOutcome::Frame(frame) => frame,
+        let mut found = None;
+        self.receive(len, &mut |output| match output {
+            Output::Frame(frame) => found = Some(of(&frame)),
             other => panic!("not a frame: {other:?}"),
-        }
+        });
+        found.unwrap()
     }
 }
 
@@ -132,25 +147,26 @@ fn a_frame_carries_the_whole_pose_of_every_body() {
         })
         .collect();
     let arrival_ns = bench.now_ns + 10 * MS;
-    let frame = bench.frame(&bodies, FrameFlags::default());
-    assert_eq!(frame.bodies().len(), 40);
-    for body in frame.bodies() {
-        if body.id == 7 {
-            assert_eq!(body.state, BodyState::Untracked);
-        } else {
-            let pose = tracked(body.state);
-            assert_eq!(pose.position_m, [f64::from(body.id), 0.5, -2.0]);
-            assert_eq!(pose.orientation_xyzw, [0.5; 4]);
-            assert_eq!(pose.mean_error_m, 0.25);
+    bench.frame(&bodies, |frame| {
+        assert_eq!(frame.bodies().len(), 40);
+        for body in frame.bodies() {
+            if body.id == 7 {
+                assert_eq!(body.state, BodyState::Untracked);
+            } else {
+                let pose = tracked(body.state);
+                assert_eq!(pose.position_m, [f64::from(body.id), 0.5, -2.0]);
+                assert_eq!(pose.orientation_xyzw, [0.5; 4]);
+                assert_eq!(pose.mean_error_m, 0.25);
+            }
         }
-    }
-    let capture = frame.capture.unwrap();
-    assert_eq!(frame.receive_time_ns, arrival_ns);
-    assert_eq!(capture.source, CaptureTimeSource::MidExposureEcho);
-    let error_ns = capture.time_ns.abs_diff(arrival_ns - 8 * MS);
-    assert!(error_ns <= capture.uncertainty_ns, "{error_ns} ns");
-    assert_eq!(frame.body(12).unwrap().id, 12);
-    assert_eq!(frame.body(40), None);
+        let capture = frame.capture.unwrap();
+        assert_eq!(frame.receive_time_ns, arrival_ns);
+        assert_eq!(capture.source, CaptureTimeSource::MidExposureEcho);
+        let error_ns = capture.time_ns.abs_diff(arrival_ns - 8 * MS);
+        assert!(error_ns <= capture.uncertainty_ns, "{error_ns} ns");
+        assert_eq!(frame.body(12).unwrap().id, 12);
+        assert_eq!(frame.body(40), None);
+    });
 }
 
 #[test]
@@ -159,8 +175,7 @@ fn y_up_turns_the_whole_quaternion() {
     // A quarter turn about the stream's z axis is one about the world's -y axis.
     let half = FRAC_1_SQRT_2 as f32;
     let body = RigidBody::tracked(1, [1.0, 2.0, 3.0], [0.0, 0.0, half, half]);
-    let frame = bench.frame(&[body], FrameFlags::default());
-    let pose = tracked(frame.body(1).unwrap().state);
+    let pose = bench.frame(&[body], |frame| tracked(frame.body(1).unwrap().state));
     assert_eq!(pose.position_m, [1.0, -3.0, 2.0]);
     let expected = [0.0, -FRAC_1_SQRT_2, 0.0, FRAC_1_SQRT_2];
     for (actual, expected) in pose.orientation_xyzw.iter().zip(expected) {
@@ -175,8 +190,9 @@ fn y_up_turns_the_whole_quaternion() {
 fn a_quaternion_is_normalised_or_refused() {
     let mut bench = Bench::streaming(UpAxis::Z);
     let rotation = |w| RigidBody::tracked(1, [0.0; 3], [0.0, 0.0, 0.0, w]);
-    let frame = bench.frame(&[rotation(1.009)], FrameFlags::default());
-    let pose = tracked(frame.body(1).unwrap().state);
+    let pose = bench.frame(&[rotation(1.009)], |frame| {
+        tracked(frame.body(1).unwrap().state)
+    });
     assert_eq!(pose.orientation_xyzw, [0.0, 0.0, 0.0, 1.0]);
     for (body, invalid) in [
         (rotation(1.02), InvalidBody::NotUnitQuaternion),
@@ -186,8 +202,8 @@ fn a_quaternion_is_normalised_or_refused() {
             InvalidBody::NotFinite,
         ),
     ] {
-        let frame = bench.frame(&[body], FrameFlags::default());
-        assert_eq!(frame.body(1).unwrap().state, BodyState::Invalid(invalid));
+        let state = bench.frame(&[body], |frame| frame.body(1).unwrap().state);
+        assert_eq!(state, BodyState::Invalid(invalid));
     }
 }
 
@@ -195,23 +211,22 @@ fn a_quaternion_is_normalised_or_refused() {
 fn two_bodies_with_one_id_have_no_pose_by_id() {
     let mut bench = Bench::streaming(UpAxis::Z);
     let body = RigidBody::tracked(1, [0.0; 3], [0.0, 0.0, 0.0, 1.0]);
-    let frame = bench.frame(
-        &[body, body.with_tracking_valid(false)],
-        FrameFlags::default(),
-    );
-    assert_eq!(
-        frame.body(1).unwrap().state,
-        BodyState::Invalid(InvalidBody::DuplicateId)
-    );
-    assert_eq!(frame.bodies().count(), 2);
+    bench.frame(&[body, body.with_tracking_valid(false)], |frame| {
+        assert_eq!(
+            frame.body(1).unwrap().state,
+            BodyState::Invalid(InvalidBody::DuplicateId)
+        );
+        assert_eq!(frame.bodies().count(), 2);
+    });
 }
 
 #[test]
 fn names_are_current_from_the_definitions_to_the_next_change_of_models() {
     let mut bench = Bench::streaming(UpAxis::Z);
-    assert!(!bench.frame(&[], FrameFlags::default()).definitions_current);
+    let is_current = |frame: &PoseFrame<'_>| frame.definitions_current;
+    assert!(!bench.frame(&[], is_current));
     let datasets = [("car", 7), ("trailer", 8)].map(|(name, id)| {
-        Dataset::rigid_body(RigidBodyDefinition {
+        Dataset::RigidBody(RigidBodyDefinition {
             name: name.as_bytes(),
             id,
             parent_id: -1,
@@ -219,26 +234,18 @@ fn names_are_current_from_the_definitions_to_the_next_change_of_models() {
         })
     });
     let len = encode::model_definitions(VERSION, &datasets, &mut bench.buffer).unwrap();
-    let outcome =
-        bench
-            .session
-            .handle_datagram(bench.now_ns, SERVER, &bench.buffer[..len], &mut |_| {});
-    let DatagramOutcome::Definitions(definitions) = outcome else {
-        panic!("no definitions: {outcome:?}");
-    };
-    assert_eq!(
-        Binding::resolve(&definitions.clone().into(), "trailer").id(),
-        Some(8)
-    );
-    assert_eq!(
-        Binding::resolve(&definitions.into(), "Car"),
-        Binding::Missing
-    );
-    assert!(bench.frame(&[], FrameFlags::default()).definitions_current);
+    let mut bindings = None;
+    bench.receive(len, &mut |output| {
+        let Output::Names(names) = output else {
+            panic!("no definitions: {output:?}");
+        };
+        bindings = Some(["trailer", "Car"].map(|name| Binding::resolve(&names, name)));
+    });
+    assert_eq!(bindings, Some([Binding::Bound { id: 8 }, Binding::Missing]));
+    assert!(bench.frame(&[], is_current));
 
     bench.events.clear();
-    let frame = bench.frame(&[], FrameFlags::MODELS_CHANGED);
-    assert!(!frame.definitions_current);
+    assert!(!bench.flagged(&[], FrameFlags::MODELS_CHANGED, is_current));
     assert_eq!(bench.events, [SessionEvent::DefinitionsOutdated]);
     assert!(!bench.session.definitions_current());
 }
@@ -248,8 +255,11 @@ fn a_missing_name_is_a_state_until_the_name_appears() {
     let mut world = World::new(config(UNICAST));
     world.server.models = vec![("other", 3), ("Car", CAR)];
     world.run(20 * MS);
-    assert_eq!(world.session.binding(), Binding::Missing);
-    assert_eq!(world.session.names().to_string(), r#""other", "Car""#);
+    assert_eq!(world.session.tracker().binding, Binding::Missing);
+    assert_eq!(
+        world.session.tracker().names.to_string(),
+        r#""other", "Car""#
+    );
     assert_eq!(
         world.next_state(&Frame::at_rest(1)),
         PoseState::Unbound(Binding::Missing)
@@ -257,7 +267,7 @@ fn a_missing_name_is_a_state_until_the_name_appears() {
     assert_eq!(world.session.counters().unbound, 1);
     world.server.models.push(("car", 12));
     world.run(600 * MS);
-    assert_eq!(world.session.binding(), Binding::Bound { id: 12 });
+    assert_eq!(world.session.tracker().binding, Binding::Bound { id: 12 });
 }
 
 #[test]
@@ -266,7 +276,7 @@ fn a_name_of_two_bodies_is_ambiguous() {
     world.server.models = vec![("car", 1), ("other", 3), ("car", CAR)];
     world.run(20 * MS);
     let ambiguous = Binding::Ambiguous { count: 2 };
-    assert_eq!(world.session.binding(), ambiguous);
+    assert_eq!(world.session.tracker().binding, ambiguous);
     assert!(world.bindings.contains(&ambiguous));
     assert_eq!(
         world.next_state(&Frame::at_rest(1)),
@@ -313,7 +323,7 @@ fn ids_that_change_without_the_flag_are_noticed_by_polling() {
     for number in 0..600 {
         world.next_state(&after_swap(number));
     }
-    assert_eq!(world.session.binding(), Binding::Bound { id: 8 });
+    assert_eq!(world.session.tracker().binding, Binding::Bound { id: 8 });
 }
 
 #[test]
@@ -326,7 +336,7 @@ fn lost_definitions_are_soon_requested_again() {
     world.run(50 * MS);
     world.server.answers = true;
     world.run(110 * MS);
-    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+    assert_eq!(world.session.tracker().binding, Binding::Bound { id: CAR });
 }
 
 #[test]
@@ -334,7 +344,7 @@ fn a_damaged_definition_is_counted_and_leaves_the_binding() {
     let mut world = World::connected(config(UNICAST));
     world.receive(&[5, 0, 4, 0, 1, 0, 0, 0]);
     assert_eq!(world.session.counters().session.malformed, 1);
-    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+    assert_eq!(world.session.tracker().binding, Binding::Bound { id: CAR });
     world.run(S);
     let body = RigidBody::tracked(CAR, [0.0; 3], [0.0, 0.0, 0.0, 1.0]);
     assert!(matches!(
@@ -346,21 +356,21 @@ fn a_damaged_definition_is_counted_and_leaves_the_binding() {
 #[test]
 fn of_many_names_the_first_are_listed_and_the_others_counted() {
     let mut world = World::new(config(UNICAST));
-    assert!(world.session.names().is_empty());
+    assert!(world.session.tracker().names.is_empty());
     world.server.models = vec![("a\u{1b}[2J", 1); 1];
     world
         .server
         .models
         .extend([("twenty-five-bytes-of-name", 2); 20]);
     world.run(20 * MS);
-    let names = world.session.names().to_string();
+    let names = world.session.tracker().names.to_string();
     // What a terminal would obey is escaped.
     assert!(
         names.starts_with(r#""a\u{1b}[2J", "twenty-five"#),
         "{names}"
     );
     assert!(names.ends_with("\" and 13 more"), "{names}");
-    let names = world.session.names();
+    let names = &world.session.tracker().names;
     assert_eq!(names.name(1), Some(r#""a\u{1b}[2J""#));
     assert_eq!(names.name(2), Some(r#""twenty-five-bytes-of-name""#));
     assert_eq!(names.name(3), None);

@@ -14,10 +14,10 @@ use crate::{CAR, Frame, MS, Outcome, S, SERVER, Sent, UNICAST, World, config, ji
 fn a_session_connects_binds_the_name_and_sees_the_car() {
     let mut world = World::connected(config(UNICAST));
     assert_eq!(
-        world.session.phase(),
+        world.session.source().phase(),
         Phase::Streaming(BitstreamVersion::V4_1)
     );
-    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+    assert_eq!(world.session.tracker().binding, Binding::Bound { id: CAR });
     assert_eq!(world.session.pose_state(world.now_ns), PoseState::NoFrames);
     assert!(matches!(
         world.next_state(&Frame::at_rest(1)),
@@ -31,10 +31,10 @@ fn connect_is_repeated_until_the_server_answers() {
     world.server.answers = false;
     world.run(1_900 * MS);
     assert_eq!(world.count_sent(&Sent::Connect), 4);
-    assert_eq!(world.session.phase(), Phase::Connecting);
+    assert_eq!(world.session.source().phase(), Phase::Connecting);
     world.server.answers = true;
     world.run(200 * MS);
-    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+    assert_eq!(world.session.tracker().binding, Binding::Bound { id: CAR });
 }
 
 #[test]
@@ -47,8 +47,11 @@ fn a_network_that_loses_half_of_all_datagrams_only_delays_the_binding() {
         world.run(10 * MS);
         world.frame(&Frame::at_rest(number));
     }
-    assert!(matches!(world.session.phase(), Phase::Streaming(_)));
-    assert_eq!(world.session.binding(), Binding::Bound { id: CAR });
+    assert!(matches!(
+        world.session.source().phase(),
+        Phase::Streaming(_)
+    ));
+    assert_eq!(world.session.tracker().binding, Binding::Bound { id: CAR });
 }
 
 #[test]
@@ -61,7 +64,7 @@ fn a_newer_server_is_asked_for_the_configured_bitstream() {
         1
     );
     assert_eq!(
-        world.session.phase(),
+        world.session.source().phase(),
         Phase::Streaming(BitstreamVersion::V4_1)
     );
     assert!(matches!(
@@ -80,7 +83,7 @@ fn the_bitstream_of_an_older_server_is_accepted() {
         let mut world = World::new(config(UNICAST));
         world.server.native = native;
         world.run(20 * MS);
-        assert_eq!(world.session.phase(), Phase::Streaming(version));
+        assert_eq!(world.session.source().phase(), Phase::Streaming(version));
         assert!(matches!(
             world.next_state(&Frame::at_rest(1)),
             PoseState::Valid(_)
@@ -96,7 +99,7 @@ fn a_server_that_keeps_a_supported_bitstream_is_read() {
         world.server.bitstream_status = status;
         world.run(20 * MS);
         let kept = BitstreamVersion::new(4, 3).unwrap();
-        assert_eq!(world.session.phase(), Phase::Streaming(kept));
+        assert_eq!(world.session.source().phase(), Phase::Streaming(kept));
         assert!(world.events.contains(&SessionEvent::BitstreamKept {
             requested: BitstreamVersion::V4_1,
             kept
@@ -111,7 +114,7 @@ fn an_unsupported_bitstream_is_refused_by_number_until_it_is_changed() {
     world.server.bitstream_status = Some(1);
     world.run(3 * S);
     let refusal = UnsupportedVersion { major: 4, minor: 5 };
-    assert_eq!(world.session.phase(), Phase::Refused(refusal));
+    assert_eq!(world.session.source().phase(), Phase::Refused(refusal));
     let reported = world
         .events
         .iter()
@@ -124,7 +127,7 @@ fn an_unsupported_bitstream_is_refused_by_number_until_it_is_changed() {
     world.server.native = [4, 1];
     world.run(S);
     assert_eq!(
-        world.session.phase(),
+        world.session.source().phase(),
         Phase::Streaming(BitstreamVersion::V4_1)
     );
 }
@@ -135,7 +138,7 @@ fn a_server_before_2_7_is_refused_without_a_request() {
     world.server.native = [2, 5];
     world.run(20 * MS);
     assert_eq!(
-        world.session.phase(),
+        world.session.source().phase(),
         Phase::Refused(UnsupportedVersion { major: 2, minor: 5 })
     );
     assert_eq!(world.sent.len(), 1);
@@ -163,7 +166,7 @@ fn multicast_accepts_the_servers_bitstream_and_sends_no_keep_alive() {
     world.server.native = [4, 5];
     world.run(20 * MS);
     assert_eq!(
-        world.session.phase(),
+        world.session.source().phase(),
         Phase::Refused(UnsupportedVersion { major: 4, minor: 5 })
     );
 }
@@ -210,7 +213,7 @@ fn a_datagram_from_another_address_is_counted_and_changes_nothing() {
     assert_eq!(world.receive_from(stranger, &bytes), Outcome::WrongSource);
     assert_eq!(world.session.counters().session.wrong_source, 1);
     assert_eq!(world.session.counters().session.frames, 0);
-    assert_eq!(world.session.other_source(), Some(stranger.ip()));
+    assert_eq!(world.session.source().other_source(), Some(stranger.ip()));
     // The data port belongs to the server as well.
     let data_port = SocketAddr::new(SERVER.ip(), 1511);
     assert!(matches!(
@@ -226,7 +229,7 @@ fn the_session_connects_again_to_a_server_that_left() {
     let mut goodbye = [0; 4];
     singletrack_mocap::encode::disconnect(&mut goodbye).unwrap();
     world.receive(&goodbye);
-    assert_eq!(world.session.phase(), Phase::Connecting);
+    assert_eq!(world.session.source().phase(), Phase::Connecting);
     world.run(S);
     assert!(
         world
@@ -249,7 +252,7 @@ fn a_closed_session_sends_disconnect_and_then_nothing() {
     world.run(10 * S);
     let sent: Vec<_> = world.sent.iter().map(|(_, sent)| sent.clone()).collect();
     assert_eq!(sent, [Sent::Disconnect]);
-    assert_eq!(world.session.phase(), Phase::Closed);
+    assert_eq!(world.session.source().phase(), Phase::Closed);
     assert_eq!(world.session.poll_timeout(), None);
 }
 

@@ -113,7 +113,7 @@ impl Server {
                     .models
                     .iter()
                     .map(|(name, id)| {
-                        Dataset::rigid_body(RigidBodyDefinition {
+                        Dataset::RigidBody(RigidBodyDefinition {
                             name: name.as_bytes(),
                             id: *id,
                             parent_id: -1,

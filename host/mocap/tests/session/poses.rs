@@ -256,7 +256,7 @@ fn a_wrong_up_axis_shows_in_height_and_tilt() {
             config.session.up_axis = axis;
             let mut world = World::connected(config);
             world.next_state(&Frame::new(1, &[body]));
-            let level = world.session.level().unwrap();
+            let level = world.session.tracker().level.unwrap();
             assert_eq!(level.suggests_other_axis(), suggests, "{axis:?} {level:?}");
             let (height_m, tilt_rad) = if suggests {
                 (level.other_height_m, level.other_tilt_rad)
@@ -276,10 +276,10 @@ fn a_wrong_up_axis_shows_in_the_height_alone_while_the_yaw_is_zero() {
     let body = RigidBody::tracked(CAR, [1.0, 2.0, 0.1], [0.0, 0.0, 0.0, 1.0]);
     world.next_state(&Frame::new(1, &[body]));
     // Within the floor's height both are possible.
-    assert!(world.session.level().unwrap().suggests_other_axis());
+    assert!(world.session.tracker().level.unwrap().suggests_other_axis());
     let body = RigidBody::tracked(CAR, [1.0, 0.3, 0.1], [0.0, 0.0, 0.0, 1.0]);
     world.next_state(&Frame::new(2, &[body]));
-    assert!(!world.session.level().unwrap().suggests_other_axis());
+    assert!(!world.session.tracker().level.unwrap().suggests_other_axis());
 }
 
 #[test]

@@ -123,7 +123,10 @@ fn a_malformed_datagram_is_counted_and_changes_nothing() {
     );
     assert_eq!(world.session.counters().session.frames, 1);
     assert_eq!(world.session.pose_state(world.now_ns), before);
-    assert!(matches!(world.session.phase(), Phase::Streaming(_)));
+    assert!(matches!(
+        world.session.source().phase(),
+        Phase::Streaming(_)
+    ));
 }
 
 #[test]
@@ -163,7 +166,10 @@ fn undecodable_frames_between_good_ones_do_not_restart_the_session() {
         }
     }
     assert_eq!(world.session.counters().session.restarts, 0);
-    assert!(matches!(world.session.phase(), Phase::Streaming(_)));
+    assert!(matches!(
+        world.session.source().phase(),
+        Phase::Streaming(_)
+    ));
 }
 
 #[test]
@@ -247,7 +253,7 @@ fn other_content_for_the_same_number_is_counted_and_soon_no_pose_is_accepted() {
     let counters = world.session.counters().session;
     assert_eq!((counters.contradictions, counters.distrusted), (50, 47));
     assert_eq!(contradicted(&world), 1);
-    assert!(world.session.is_contradicted(world.now_ns));
+    assert!(world.session.source().is_contradicted(world.now_ns));
     assert!(matches!(
         world.session.pose_state(world.now_ns),
         PoseState::LockedOut(RejectReason::CaptureTime)
@@ -256,7 +262,7 @@ fn other_content_for_the_same_number_is_counted_and_soon_no_pose_is_accepted() {
     for number in 151..=300 {
         world.next_state(&Frame::at_rest(number));
     }
-    assert!(!world.session.is_contradicted(world.now_ns));
+    assert!(!world.session.source().is_contradicted(world.now_ns));
     assert!(matches!(
         world.session.pose_state(world.now_ns),
         PoseState::Valid(_)

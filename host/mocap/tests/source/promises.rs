@@ -47,8 +47,15 @@ fn a_wrong_name_is_missing_and_the_servers_names_are_known() {
         let mut bench = Bench::of(kind, "kart");
         bench.run(2_000);
         assert!(bench.poses(0).is_empty());
-        assert_eq!(bench.session.binding(), Binding::Missing, "{kind:?}");
-        assert_eq!(bench.session.names().to_string(), "\"wand\", \"car\"");
+        assert_eq!(
+            bench.session.tracker().binding,
+            Binding::Missing,
+            "{kind:?}"
+        );
+        assert_eq!(
+            bench.session.tracker().names.to_string(),
+            "\"wand\", \"car\""
+        );
         // The operator renames the body.
         bench.server.bodies = vec!["wand", "kart"];
         bench.server.renumber();
@@ -56,7 +63,7 @@ fn a_wrong_name_is_missing_and_the_servers_names_are_known() {
         bench.deliver(&sent);
         bench.run(2_000);
         assert!(
-            matches!(bench.session.binding(), Binding::Bound { .. }),
+            matches!(bench.session.tracker().binding, Binding::Bound { .. }),
             "{kind:?}"
         );
     }
@@ -71,7 +78,7 @@ fn a_name_that_is_not_utf_8_hides_no_other_body_and_is_shown() {
         let poses = bench.poses(0);
         assert!(poses.len() > 150, "{kind:?}: {} poses", poses.len());
         poses.iter().for_each(|(_, pose)| assert_true(pose));
-        let names = bench.session.names().to_string();
+        let names = bench.session.tracker().names.to_string();
         assert_eq!(names, r#""t\xfcr", "car""#, "{kind:?}");
         // One that appears later ends no drive.
         bench.server.bodies.push("a t@r");
@@ -260,7 +267,7 @@ fn another_program_at_the_port_is_named_once_and_never_believed() {
             let is_foreign = |event: &&SessionEvent| **event == SessionEvent::Foreign;
             let times = bench.events.iter().filter(is_foreign).count();
             assert_eq!(times, 1, "{kind:?} {answer:?}: {:?}", bench.events);
-            assert_eq!(bench.session.phase(), Phase::Foreign);
+            assert_eq!(bench.session.source().phase(), Phase::Foreign);
             assert!(bench.observations.is_empty());
             // Tried again all the time, in case the right one starts.
             bench.impostor = None;
@@ -388,7 +395,7 @@ fn names_come_on_the_stream_alone() {
     for kind in STREAMS {
         let mut bench = Bench::of(kind, "car");
         bench.run(1_000);
-        let bound = bench.session.binding();
+        let bound = bench.session.tracker().binding;
         let renamed = bench.server.renumber();
         let answer = bench.server.chatter(bench.now_us());
         for bytes in [renamed.stream, answer.stream] {
@@ -398,7 +405,7 @@ fn names_come_on_the_stream_alone() {
                 bytes: &bytes,
             });
         }
-        assert_eq!(bench.session.binding(), bound, "{kind:?}");
+        assert_eq!(bench.session.tracker().binding, bound, "{kind:?}");
     }
 }
 

@@ -298,7 +298,7 @@ impl Server {
                 let bodies: Vec<_> = (self.numbers..)
                     .zip(&self.bodies)
                     .map(|(id, name)| {
-                        Dataset::rigid_body(RigidBodyDefinition {
+                        Dataset::RigidBody(RigidBodyDefinition {
                             name: name.as_bytes(),
                             id,
                             parent_id: -1,

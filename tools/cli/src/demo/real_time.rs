@@ -133,7 +133,7 @@ fn not_started(snapshot: &Snapshot, timeout: Duration) -> NotStarted {
 }
 
 fn drive_start_ns(snapshot: &Snapshot) -> Option<u64> {
-    let tick = snapshot.tick.as_ref()?;
+    let tick = snapshot.latest.tick.as_ref()?;
     let driven_ns = (tick.output.drive_time? * 1e9) as u64;
     Some(tick.start_ns.saturating_sub(driven_ns))
 }

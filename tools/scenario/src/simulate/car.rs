@@ -322,7 +322,7 @@ impl ScenarioRun {
         let calibration = self.calibration.as_mut();
         if let Some(learned) = calibration.and_then(|it| it.tick(&tick.tick)) {
             // Nothing else fills the ring.
-            let _ = self.laboratory.drive.learned(learned);
+            let _ = self.laboratory.drive.host().learned(learned);
         }
     }
 

@@ -278,6 +278,7 @@ impl Operator {
             match action {
                 Action::Ask(request) => drive.request(request).map_err(|_| busy())?,
                 Action::Tune(tuning) => drive
+                    .host()
                     .tune(tuning)
                     .map_err(|error| ScenarioError::tune(at_s, &error))?,
                 Action::Connect(connected) => {

@@ -297,24 +297,10 @@ fn significant(value: f64) -> String {
         return scientific; // not a number, or infinite
     };
     let exponent: i32 = exponent.parse().unwrap_or(0);
-    if !(-5..12).contains(&exponent) {
-        return format!("{}e{exponent}", trim_zeros(mantissa));
+    match usize::try_from(11 - exponent) {
+        Ok(decimals) if exponent >= -5 => trim_zeros(&format!("{value:.decimals$}")).to_owned(),
+        _ => format!("{}e{exponent}", trim_zeros(mantissa)),
     }
-    // The same digits, with the point elsewhere.
-    let (whole, part) = mantissa.split_once('.').unwrap_or((mantissa, ""));
-    let mut decimal = String::with_capacity(mantissa.len() + 6);
-    match usize::try_from(exponent) {
-        Ok(exponent) => {
-            let (more, part) = part.split_at_checked(exponent).unwrap_or((part, ""));
-            decimal.extend([whole, more, ".", part]);
-        }
-        Err(_) => {
-            let (sign, digit) = whole.split_at(whole.len().saturating_sub(1));
-            let zeros = usize::try_from(-1 - exponent).unwrap_or(0);
-            decimal.extend([sign, "0.", "0000".get(..zeros).unwrap_or(""), digit, part]);
-        }
-    }
-    trim_zeros(&decimal).to_owned()
 }
 
 /// A decimal number without needless zeros at its end.

@@ -36,7 +36,7 @@ impl SetpointStream {
             return Some(reject(daemon, &rejected));
         }
         daemon.setpoints.pass(command);
-        daemon.status.latest().tally.figures.setpoints.accepted += 1;
+        daemon.status.tally().figures.setpoints.accepted += 1;
         None
     }
 
@@ -84,8 +84,8 @@ impl SetpointStream {
 
 /// Counts a rejected set-point. Returns the answer.
 pub(super) fn reject(daemon: &DaemonHandle, rejected: &Refused) -> Answer {
-    let mut latest = daemon.status.latest();
-    latest.tally.figures.setpoints.reject(rejected.code);
+    let mut tally = daemon.status.tally();
+    tally.figures.setpoints.reject(rejected.code);
     Answer {
         rejected: true,
         ..Answer::refusal(rejected.clone())
