@@ -146,8 +146,8 @@ impl Pilot {
         let kept = self.kept_tuning(config);
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
-        self.tracking.clone_from(&config.tracking);
-        self.imagined.clone_from(&config.tracking);
+        self.tracking.assign(&config.tracking);
+        self.imagined.assign(&config.tracking);
         self.wanted_point_distance = config.law.point_distance();
         self.keep_tuning(&kept);
         self.governor = config.governor();
