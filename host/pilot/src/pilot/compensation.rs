@@ -19,17 +19,6 @@ pub struct Compensation {
     pub vehicle: VehicleParameters,
 }
 
-impl Compensation {
-    /// Compensates nothing.
-    pub const fn off(vehicle: VehicleParameters) -> Self {
-        Self {
-            clock: false,
-            actuation: None,
-            vehicle,
-        }
-    }
-}
-
 /// Planned speeds kept: those of the longest dead time at the shortest period.
 const PLANNED: usize = 128;
 
@@ -213,7 +202,7 @@ impl Compensator {
         let (wanted, first) = course.at(&state, tracking, applied)?;
         // The motor acts later than the wheels: the speed is the one that is wanted then. The
         // loop's steps until then are only imagined, so they are those of a copy.
-        imagined.clone_from(tracking);
+        imagined.assign(tracking);
         let (mut later, mut command) = (state, first);
         while later.ahead + 0.5 * course.period < far {
             let (after, given) = course.next(&later, &command, planned(&later));
