@@ -11,7 +11,7 @@ use std::{
 
 use singletrack_control::{Estimate, Position, Setpoint, Time, Velocity};
 use singletrack_core::{
-    ConfigError, HostOptions, Stalled, VirtualHost,
+    ConfigError, ControlRequest, HostOptions, Stalled, VirtualHost,
     cameras::{Channel, Sockets},
     config::{Config, ReferenceSection, TuningError},
     controller::Controller,
@@ -228,12 +228,12 @@ impl VirtualDrive {
 
     /// The controller.
     pub const fn controller(&self) -> &Controller {
-        self.host.controller()
+        &self.host.parts.control.controller
     }
 
     /// The pilot's mode after the last tick.
     pub const fn mode(&self) -> Mode {
-        self.host.mode()
+        self.controller().pilot.mode()
     }
 
     /// Sends a request to the pilot, for the next tick.
@@ -242,7 +242,10 @@ impl VirtualDrive {
     ///
     /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
-        self.host.request(request)
+        self.host
+            .parts
+            .requests
+            .push(ControlRequest::Pilot(request))
     }
 
     /// Tells the pilot what is learned, with the next tick.
@@ -251,7 +254,8 @@ impl VirtualDrive {
     ///
     /// As [`request`](Self::request).
     pub fn learned(&self, learned: Learned) -> Result<(), Stalled> {
-        self.host.learned(learned)
+        let request = ControlRequest::Learned(learned);
+        self.host.parts.requests.push(request)
     }
 
     /// Tunes the pilot, with the next tick.
@@ -265,18 +269,18 @@ impl VirtualDrive {
 
     /// Gives an external reference its newest set-point.
     pub fn send_setpoint(&self, setpoint: &Setpoint) {
-        self.host.parts().setpoints.send(setpoint);
+        self.host.parts.setpoints.send(setpoint);
     }
 
     /// Gives an external reference the set-point of a program.
     pub fn pass_setpoint(&self, command: &SetpointCommand) {
-        self.host.parts().setpoints.pass(command);
+        self.host.parts.setpoints.pass(command);
     }
 
     /// Gives the operator's pulses for servo and ESC, for the next tick. They count while the
     /// mode is [`Mode::Jogging`], and must be renewed at least every 0.25 s.
     pub fn send_jog(&self, jog: Jog) {
-        self.host.parts().jogs.send(jog);
+        self.host.parts.jogs.send(jog);
     }
 
     /// Changes the configuration at the next tick. Returns its number.
@@ -285,10 +289,12 @@ impl VirtualDrive {
     ///
     /// The reason why the configuration in force stays.
     pub fn reconfigure(&mut self, config: Config) -> Result<u32, ChangeError> {
-        self.host.reconfigure(config, u64::MAX)?;
+        let host = &mut self.host.parts;
+        host.configurations
+            .begin(config, u64::MAX, &host.requests)?;
         loop {
             self.step();
-            if let Some(outcome) = self.host.settle() {
+            if let Some(outcome) = self.host.parts.configurations.settle() {
                 let number = outcome?;
                 self.keep_configuration(number);
                 return Ok(number);
@@ -298,7 +304,7 @@ impl VirtualDrive {
 
     /// When the next tick is due, in µs of the simulation, rounded up. A frame may make it sooner.
     pub const fn next_tick_us(&self) -> u64 {
-        self.host.next_tick_ns().div_ceil(1_000)
+        self.host.due_ns.div_ceil(1_000)
     }
 
     /// The present time of the simulation, in µs.
@@ -332,7 +338,12 @@ impl VirtualDrive {
             let now_ns = self.host_us * 1_000;
             let truth = self.world.truth();
             if self.knows_the_truth {
-                self.host.assume(perfect_estimate(&truth, now_ns));
+                self.host
+                    .parts
+                    .control
+                    .controller
+                    .pilot
+                    .assume(perfect_estimate(&truth, now_ns));
             }
             self.host.tick(now_ns);
             self.write();
@@ -362,7 +373,7 @@ impl VirtualDrive {
         &mut self,
         on_tick: &mut impl FnMut(&VirtualTick),
     ) -> Result<VirtualTick, VirtualDriveError> {
-        let reference = &self.host.parts().configurations.in_force().reference;
+        let reference = &self.host.parts.configurations.in_force.reference;
         let is_external = matches!(reference, ReferenceSection::External { .. });
         let mut armed = false;
         while self.next_tick_us() < (READY_TIMEOUT * 1e6) as u64 {
@@ -387,7 +398,7 @@ impl VirtualDrive {
     pub(crate) fn not_started(&self) -> VirtualDriveError {
         VirtualDriveError::NotStarted {
             mode: self.mode(),
-            reason: self.controller().pilot().reason(),
+            reason: self.controller().pilot.reason(),
             seconds: READY_TIMEOUT,
         }
     }
@@ -396,10 +407,10 @@ impl VirtualDrive {
     fn exchange(&mut self) {
         let now_ns = self.host_us * 1_000;
         self.world.host_read(&mut self.port.received);
-        if !self.port.received.is_empty() || !self.host.awaits_bytes() {
+        if !self.port.received.is_empty() || !self.host.serial_wait.readable {
             self.host.poll_serial(now_ns, &mut self.port);
         }
-        if self.world.has_datagrams() || self.host.cameras_due_ns() <= now_ns {
+        if self.world.has_datagrams() || self.host.cameras_due_ns <= now_ns {
             self.host
                 .poll_cameras(now_ns, &mut SimulatedSockets(&mut self.world), &mut |_| {});
         }
@@ -433,7 +444,7 @@ impl VirtualDrive {
     }
 
     fn keep_configuration(&mut self, number: u32) {
-        let in_force = self.host.parts().configurations.in_force();
+        let in_force = &self.host.parts.configurations.in_force;
         if let Some(kept) = &mut self.entries
             && let Ok(toml) = in_force.to_toml()
         {

@@ -91,7 +91,7 @@ fn turning() -> VirtualDrive {
 }
 
 fn reason(drive: &VirtualDrive) -> Option<Reason> {
-    drive.controller().pilot().reason()
+    drive.controller().pilot.reason()
 }
 
 #[test]
@@ -294,7 +294,7 @@ fn it_needs_neither_cameras_nor_imu_nor_a_place_in_the_fence() {
     start_jogging(&mut drive);
     hold(&mut drive, pulses(1_400, 1_560), 500);
     assert_eq!(drive.mode(), Mode::Jogging);
-    assert!(drive.controller().pilot().mode().commands());
+    assert!(drive.controller().pilot.mode().commands());
 }
 
 #[test]

@@ -153,7 +153,7 @@ impl LiveDrive {
     }
 
     fn learned(&self) -> Learned {
-        self.drive.controller().pilot().learned().unwrap()
+        self.drive.controller().pilot.learned().unwrap()
     }
 }
 
