@@ -236,7 +236,7 @@ impl VirtualBench {
 
     /// Why nothing is held any more.
     fn ended(&self) -> Refused {
-        let reason = self.drive.controller().pilot().reason();
+        let reason = self.drive.controller().pilot.reason();
         Refused(
             reason
                 .map_or("the car is not armed", Reason::name)
@@ -334,10 +334,7 @@ impl Bench for VirtualBench {
             self.held = false;
             return Err(self.ended());
         }
-        self.drive.send_jog(singletrack_pilot::Jog {
-            servo_us: jog.servo_us,
-            esc_us: jog.esc_us,
-        });
+        self.drive.send_jog(jog);
         Ok(())
     }
 

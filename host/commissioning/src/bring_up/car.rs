@@ -116,7 +116,7 @@ impl<'a> Car<'a> {
                 }
                 Observation::Health(health) => {
                     self.status = Some(health.status);
-                    health.receive
+                    Time(health.receive_time_ns)
                 }
                 Observation::Pose(pose) => {
                     self.place.see(pose);
