@@ -14,6 +14,7 @@ use core::{
 };
 
 use drive::{Car, Ended, Governed, SteadyCircle};
+use serde::Serialize;
 use singletrack_control::{
     GovernorConfig, Position, Reference, VehicleParameters, Velocity, direction, words, wrap,
 };
@@ -95,7 +96,7 @@ impl fmt::Display for Finding {
 }
 
 /// Where a car stands with straight wheels: its centre of mass, and its heading.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stand {
     /// Position of the centre of mass, in m.
     pub x_m: f64,
