@@ -35,8 +35,9 @@ pub trait Bench {
         None
     }
 
-    /// Shows the progress of a measurement. It is called in every tick.
-    fn show(&mut self, live: &Live<'_>);
+    /// Shows the progress of a measurement: its present values on one line, and how much of it is
+    /// done, 0 to 1. It is called in every tick.
+    fn show(&mut self, text: &str, done: f64);
 
     /// Takes a plot for the page of the procedure. A bench that writes no page drops it.
     fn plot(&mut self, _: &Plot) {}
@@ -285,13 +286,4 @@ pub enum Answer {
     Number(f64),
     /// The operator can't or won't do it.
     Skip,
-}
-
-/// A measurement that is under way.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Live<'a> {
-    /// The present values, in words and numbers, on one line.
-    pub text: &'a str,
-    /// How much of it is done, 0 to 1.
-    pub done: f64,
 }

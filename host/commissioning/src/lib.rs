@@ -29,7 +29,7 @@ pub mod seen;
 pub mod sensors;
 
 pub use bench::{
-    Answer, Answers, Attendance, Bench, BoardReading, Inertial, Interrupted, Live, Observation,
+    Answer, Answers, Attendance, Bench, BoardReading, Inertial, Interrupted, Observation,
     PoseReading, Question, Refused, TickReading,
 };
 pub use finding::{Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Trouble, Verdict};

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, Finding, Interrupted, Jog, Journal, Live, Observation, Question,
-    Refused, Step, Verdict, bring_up, calibrate, doctor,
+    Answer, Attendance, Bench, Finding, Interrupted, Jog, Journal, Observation, Question, Refused,
+    Step, Verdict, bring_up, calibrate, doctor,
     edit::{Edit, EditError},
     run,
 };
@@ -292,7 +292,7 @@ impl Bench for VirtualBench {
         Ok(self.person.answer(question, &*self.drive.world))
     }
 
-    fn show(&mut self, _: &Live<'_>) {}
+    fn show(&mut self, _: &str, _: f64) {}
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
         if attendance == Attendance::Drive && !self.has_reference {

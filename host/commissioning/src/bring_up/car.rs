@@ -5,7 +5,7 @@ use singletrack_control::Time;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
 use crate::{
-    Attendance, Bench, BoardReading, Jog, Live, Observation, PoseReading, Refused, Trouble,
+    Attendance, Bench, BoardReading, Jog, Observation, PoseReading, Refused, Trouble,
     finding::{failed, require},
 };
 
@@ -170,7 +170,7 @@ impl<'a> Car<'a> {
             ),
             None => what.into(),
         };
-        self.bench.show(&Live { text: &text, done });
+        self.bench.show(&text, done);
     }
 
     /// The pulses at rest: the servo as it stands, the ESC at its configured neutral.

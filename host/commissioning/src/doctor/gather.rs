@@ -6,7 +6,7 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::StatusRecord;
 
 use crate::{
-    Answer, Bench, BoardReading, Finding, Inertial, Interrupted, Live, Observation, Parameter,
+    Answer, Bench, BoardReading, Finding, Inertial, Interrupted, Observation, Parameter,
     PoseReading, Question, Refused, TickReading, Trouble, Verdict, finding::keys,
 };
 
@@ -163,7 +163,7 @@ pub(super) fn until(
         bench.wait(&mut observed)?;
         readings.take(&mut observed);
         let (text, done) = progress(&readings);
-        bench.show(&Live { text: &text, done });
+        bench.show(&text, done);
         if done >= 1.0 {
             return Ok((readings, true));
         }

@@ -1,8 +1,8 @@
 //! A small car on a stand, its board and its operator, in virtual time.
 
 use singletrack_commissioning::{
-    Answer, Answers, Attendance, Bench, BoardReading, Interrupted, Jog, Live, Observation,
-    PoseReading, Question, Refused, TickReading, edit::Edit,
+    Answer, Answers, Attendance, Bench, BoardReading, Interrupted, Jog, Observation, PoseReading,
+    Question, Refused, TickReading, edit::Edit,
 };
 use singletrack_control::{Position, Time, Velocity};
 use singletrack_core::Config;
@@ -592,8 +592,8 @@ impl Bench for MockCar {
         Ok(answer)
     }
 
-    fn show(&mut self, live: &Live<'_>) {
-        assert!(!live.text.is_empty());
+    fn show(&mut self, text: &str, _: f64) {
+        assert!(!text.is_empty());
     }
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
