@@ -28,6 +28,7 @@ words! {
     }
 }
 
+#[expect(clippy::derivable_impls, reason = "words! marks no default")]
 impl Default for Filtering {
     fn default() -> Self {
         Self::None

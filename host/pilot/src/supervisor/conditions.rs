@@ -35,6 +35,7 @@ words! {
     }
 }
 
+#[expect(clippy::derivable_impls, reason = "words! marks no default")]
 impl Default for Mode {
     fn default() -> Self {
         Self::Disconnected
