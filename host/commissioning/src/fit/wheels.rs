@@ -1,9 +1,6 @@
 //! The steering servo, from angles that a person has read or from a drive with bends.
 
-use nalgebra::{Matrix2, Vector2};
-use singletrack_control::{
-    LateralMotion, SingleTrack, VehicleParameters, interpolate, student_quantile,
-};
+use singletrack_control::{VehicleParameters, interpolate, student_quantile};
 use singletrack_statistics::Line;
 
 use super::{Frames, Motion, gauss_newton};
@@ -215,29 +212,43 @@ fn residuals(
 /// single-track model in small angles, with linear tyres.
 fn step(
     vehicle: &VehicleParameters,
-    state: [f64; 2],
+    [rate, sideslip]: [f64; 2],
     speed: f64,
     steered: f64,
     step: f64,
 ) -> [f64; 2] {
-    let model = SingleTrack::new(*vehicle);
-    let change = |yaw_rate, sideslip, steering| {
-        let rate = model.lateral(&LateralMotion {
-            yaw_rate,
-            sideslip,
-            // Of the centre of mass.
-            speed: speed / state[1].cos(),
-            steering,
-        });
-        Vector2::new(rate.yaw_rate, rate.sideslip)
-    };
-    let matrix = Matrix2::from_columns(&[change(1.0, 0.0, 0.0), change(0.0, 1.0, 0.0)]);
+    let (mass, inertia) = (vehicle.mass_kg, vehicle.yaw_inertia_kg_m2);
+    let (front, rear) = (vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m);
+    let c_f = vehicle.front_cornering_stiffness_n_rad;
+    let c_r = vehicle.rear_cornering_stiffness_n_rad;
+    // Of the centre of mass.
+    let v = speed / sideslip.cos();
+    let matrix = [
+        [
+            -(front * front * c_f + rear * rear * c_r) / (inertia * v),
+            (rear * c_r - front * c_f) / inertia,
+        ],
+        [
+            (rear * c_r - front * c_f) / (mass * v * v) - 1.0,
+            -(c_f + c_r) / (mass * v),
+        ],
+    ];
+    let input = [front * c_f / inertia * steered, c_f / (mass * v) * steered];
     // The trapezoidal rule: it is stable, however fast the tyres are.
-    let half = 0.5 * step * matrix;
-    let old = Vector2::from(state);
-    let right = old + half * old + step * change(0.0, 0.0, steered);
-    let inverse = (Matrix2::identity() - half).try_inverse();
-    inverse.map_or(state, |inverse| (inverse * right).into())
+    let half = 0.5 * step;
+    let old = [rate, sideslip];
+    let right: [f64; 2] = std::array::from_fn(|i| {
+        old[i] + half * (matrix[i][0] * rate + matrix[i][1] * sideslip) + step * input[i]
+    });
+    let left = [
+        [1.0 - half * matrix[0][0], -half * matrix[0][1]],
+        [-half * matrix[1][0], 1.0 - half * matrix[1][1]],
+    ];
+    let determinant = left[0][0] * left[1][1] - left[0][1] * left[1][0];
+    [
+        (right[0] * left[1][1] - left[0][1] * right[1]) / determinant,
+        (left[0][0] * right[1] - left[1][0] * right[0]) / determinant,
+    ]
 }
 
 /// What the readings say.
