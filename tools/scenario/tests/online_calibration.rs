@@ -221,9 +221,9 @@ fn a_horn_that_slips_is_told_from_slow_learning() {
         (before.steering_trim - 25.0 / 800.0).abs() < 0.002,
         "{before:?}"
     );
-    assert_eq!(live.calibration.steering_change(), None);
+    assert_eq!(live.calibration.errors.steering_change, None);
     live.drive_on(20.0);
-    let change = live.calibration.steering_change().unwrap();
+    let change = live.calibration.errors.steering_change.unwrap();
     assert!((change - 0.05).abs() < 0.015, "{change}");
     let frozen = live.learned();
     assert!(

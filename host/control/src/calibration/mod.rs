@@ -202,7 +202,10 @@ pub struct Calibration {
     along_fit: Regression<4>,
     /// Blocks in a row that contradict those before.
     odd: u32,
-    steering_change: Option<f64>,
+    /// The sudden change of the steering while the car drove, as a change of the trim,
+    /// rad: a horn has slipped, a servo is stuck. `None` if it has not. What was known of the
+    /// steering before is forgotten.
+    pub steering_change: Option<f64>,
 }
 
 impl Calibration {
@@ -234,13 +237,6 @@ impl Calibration {
     /// changed.
     pub const fn doubts_steering(&self) -> bool {
         self.odd > 0 || self.steering_change.is_some()
-    }
-
-    /// The sudden change of the steering while the car drove, as a change of the trim,
-    /// rad: a horn has slipped, a servo is stuck. `None` if it has not. What was known of the
-    /// steering before is forgotten.
-    pub const fn steering_change(&self) -> Option<f64> {
-        self.steering_change
     }
 
     /// A block of the drive ends: compares it with those before.

@@ -20,8 +20,8 @@ const LEARNED_TICKS: u32 = 100;
 /// Estimates what a drive says about the calibration.
 #[derive(Clone, Debug)]
 pub struct OnlineCalibration {
-    // It is too large for a thread's stack.
-    calibration: Box<Calibration>,
+    /// The errors of the calibration, on the heap: they are too large for a thread's stack.
+    pub errors: Box<Calibration>,
     /// None if the pilot does not learn.
     learner: Option<Learner>,
     watch: WatchSection,
@@ -71,7 +71,7 @@ impl OnlineCalibration {
     /// For this configuration, also if it is off.
     pub fn of(config: &Config) -> Self {
         Self {
-            calibration: Box::new(Calibration::new(CalibrationConfig {
+            errors: Box::new(Calibration::new(CalibrationConfig {
                 vehicle: config.vehicle,
                 actuators: config.actuators.model(),
                 marker_offset: config.motion_capture.marker_offset_m,
@@ -89,15 +89,14 @@ impl OnlineCalibration {
     /// doubt.
     pub fn tick(&mut self, tick: &TickRecord) -> Option<Learned> {
         let now = tick.pilot_time;
-        self.calibration.begin_tick(now);
+        self.errors.begin_tick(now);
         for event in &tick.events {
             match event {
                 // What the pilot does not believe is not learned from.
-                Event::Pose(pose) if !tick.output.held => self.calibration.pose(pose),
+                Event::Pose(pose) if !tick.output.held => self.errors.pose(pose),
                 Event::Board(board) => {
                     let inertial = board.inertial.filter(|it| self.watch.is_possible(it));
-                    self.calibration
-                        .board(board.time, inertial, board.motor_speed);
+                    self.errors.board(board.time, inertial, board.motor_speed);
                 }
                 _ => {}
             }
@@ -105,27 +104,14 @@ impl OnlineCalibration {
         let output = &tick.output;
         let drives = matches!(output.mode, Mode::Driving | Mode::Slowing | Mode::Stopping);
         let command = output.command.filter(|_| drives);
-        self.calibration
+        self.errors
             .end_tick(now, command.map(|command| command.steering));
         self.ticks = self.ticks.wrapping_add(1);
         let learner = self.learner.as_mut()?;
-        if !drives
-            || !self.ticks.is_multiple_of(LEARNED_TICKS)
-            || self.calibration.doubts_steering()
-        {
+        if !drives || !self.ticks.is_multiple_of(LEARNED_TICKS) || self.errors.doubts_steering() {
             return None;
         }
-        Some(learner.take(&self.calibration.estimates()))
-    }
-
-    /// By how much the steering has changed while the car drove, rad; `None` if it has not.
-    pub fn steering_change(&self) -> Option<f64> {
-        self.calibration.steering_change()
-    }
-
-    /// The estimates, in the order of their numbers.
-    pub fn estimates(&self) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
-        self.calibration.estimates()
+        Some(learner.take(&self.errors.estimates()))
     }
 }
 

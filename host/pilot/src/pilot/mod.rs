@@ -212,7 +212,7 @@ impl Pilot {
         let wheels = self.learning.map_or(sent, |it| it.in_force.wheels(sent));
         self.estimator.send(now, wheels);
         if let Some(compensator) = &mut self.compensator {
-            compensator.commanded(now, wheels);
+            compensator.predictor.commanded(now, wheels);
         }
         let is_too_weak = self.watches.stops.is_too_weak(self.config.braking);
         let disproved = self.proved && (self.supervisor.is_contradicted() || is_too_weak);

@@ -394,7 +394,7 @@ impl Obstacles {
     /// A tick in which the car stands before one of them, or not. Why the drive ends, if it has
     /// stood there for too long.
     pub(super) fn stand(&mut self, stands: bool, period: f64) -> Option<Reason> {
-        let patience = self.neighbours.as_ref()?.config().patience;
+        let patience = self.neighbours.as_ref()?.config.patience;
         self.stood = if stands { self.stood + period } else { 0.0 };
         (self.stood > patience).then_some(Reason::NeighbourNear)
     }

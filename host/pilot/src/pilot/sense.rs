@@ -252,7 +252,7 @@ impl Pilot {
         }
         let speed = estimate.map_or(0.0, |estimate| estimate.speed);
         if let Some(compensator) = &mut self.compensator {
-            compensator.advance(now, speed);
+            compensator.predictor.advance(now, speed);
         }
         let pace = fabs(speed)
             .max(fabs(self.motor_speed))
@@ -388,7 +388,7 @@ impl Pilot {
     /// A person says that the body which the cameras show is the car: see
     /// [`PilotRequest::Carried`].
     pub fn carried(&mut self) {
-        if self.estimator.implausible_in_a_row() > 0 {
+        if self.estimator.implausible_in_a_row > 0 {
             self.estimator.reset();
         }
     }
