@@ -4,8 +4,9 @@ use std::borrow::Cow;
 
 use singletrack_control::{Position, Time, Velocity};
 use singletrack_core::Config;
-use singletrack_pilot::{Mode, Reason};
+use singletrack_pilot::{Jog, Mode, Reason};
 use singletrack_protocol::{BoardMode, StopCause};
+use singletrack_record::StatusRecord;
 
 use crate::Plot;
 
@@ -34,8 +35,9 @@ pub trait Bench {
         None
     }
 
-    /// Shows the progress of a measurement. It is called in every tick.
-    fn show(&mut self, live: &Live<'_>);
+    /// Shows the progress of a measurement: its present values on one line, and how much of it is
+    /// done, 0 to 1. It is called in every tick.
+    fn show(&mut self, text: &str, done: f64);
 
     /// Takes a plot for the page of the procedure. A bench that writes no page drops it.
     fn plot(&mut self, _: &Plot) {}
@@ -98,15 +100,6 @@ pub enum Attendance {
     Drive,
 }
 
-/// Pulses for servo and ESC, in µs. The board limits both.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Jog {
-    /// Of the servo.
-    pub servo_us: u16,
-    /// Of the ESC.
-    pub esc_us: u16,
-}
-
 /// Why a procedure cannot go on.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Interrupted {
@@ -133,25 +126,13 @@ impl Refused {
     }
 }
 
-impl Jog {
-    /// With another pulse of the ESC.
-    pub(crate) const fn with_esc(self, esc_us: u16) -> Self {
-        Self { esc_us, ..self }
-    }
-
-    /// With another pulse of the servo.
-    pub(crate) const fn with_servo(self, servo_us: u16) -> Self {
-        Self { servo_us, ..self }
-    }
-}
-
 /// Something that was observed. Times are those of the host's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Observation {
     /// Telemetry of the board.
     Board(BoardReading),
     /// The board's own condition, every 0.2 s.
-    Health(Health),
+    Health(StatusRecord),
     /// A pose of the cameras.
     Pose(PoseReading),
     /// A frame without a pose.
@@ -212,15 +193,6 @@ pub struct Inertial {
     pub roll: f64,
     /// Pitch, nose down positive, rad.
     pub pitch: f64,
-}
-
-/// The board's own condition.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Health {
-    /// When it arrived.
-    pub receive: Time,
-    /// The record as the board sent it.
-    pub status: singletrack_protocol::Status,
 }
 
 /// A pose of the rigid body in the world frame, z up.
@@ -314,13 +286,4 @@ pub enum Answer {
     Number(f64),
     /// The operator can't or won't do it.
     Skip,
-}
-
-/// A measurement that is under way.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Live<'a> {
-    /// The present values, in words and numbers, on one line.
-    pub text: &'a str,
-    /// How much of it is done, 0 to 1.
-    pub done: f64,
 }

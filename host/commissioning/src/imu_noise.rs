@@ -3,6 +3,7 @@
 //! Wheels that turn in the air shake the car less than a floor does: what is measured is the least
 //! that has to be believed, and never a reason to believe less.
 
+use singletrack_control::Time;
 use singletrack_core::config::EstimatorSection;
 use singletrack_statistics::Line;
 
@@ -62,12 +63,9 @@ impl NoiseLevel {
             let runs: Vec<Vec<[f64; 2]>> = runs
                 .iter()
                 .map(|run| {
-                    let Some(first) = run.first() else {
-                        return Vec::new();
-                    };
-                    run.iter()
-                        .map(|sample| [sample.time.seconds_since(first.time), value(sample)])
-                        .collect()
+                    let begin = run.first().map_or(Time(0), |first| first.time);
+                    let at = |sample: &Inertial| [sample.time.seconds_since(begin), value(sample)];
+                    run.iter().map(at).collect()
                 })
                 .collect();
             signal_noise(&runs)

@@ -29,8 +29,9 @@ pub mod seen;
 pub mod sensors;
 
 pub use bench::{
-    Answer, Answers, Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Live,
-    Observation, PoseReading, Question, Refused, TickReading,
+    Answer, Answers, Attendance, Bench, BoardReading, Inertial, Interrupted, Observation,
+    PoseReading, Question, Refused, TickReading,
 };
 pub use finding::{Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Trouble, Verdict};
 pub use procedure::{Journal, Step, run};
+pub use singletrack_pilot::Jog;

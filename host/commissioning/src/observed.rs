@@ -5,7 +5,7 @@ use singletrack_core::{config::WatchSection, controller::imu_tilt};
 use singletrack_mocap::{Observation as Frame, PoseState};
 use singletrack_record::{Entry, TelemetryRecord, TickRecord};
 
-use crate::{BoardReading, Health, Inertial, Observation, PoseReading, TickReading};
+use crate::{BoardReading, Inertial, Observation, PoseReading, TickReading};
 
 impl Observation {
     /// The observation in an entry of the record, if there is one; of the IMU only what `watch` calls
@@ -14,10 +14,7 @@ impl Observation {
         Some(match entry {
             Entry::Tick(tick) => Self::Tick(TickReading::of(tick)),
             Entry::Telemetry(record) => Self::Board(BoardReading::of(record, watch)),
-            Entry::Status(record) => Self::Health(Health {
-                receive: Time(record.receive_time_ns),
-                status: record.status,
-            }),
+            Entry::Status(record) => Self::Health(*record),
             Entry::Pose(frame) => Self::of_frame(frame),
             Entry::Log(_) | Entry::Configuration(_) | Entry::Drops(_) => return None,
         })
@@ -192,15 +189,15 @@ mod tests {
             imu_error: 0,
             imu_self_test: 15,
         };
-        let entry = Entry::Status(StatusRecord {
+        let record = StatusRecord {
             receive_time_ns: 9,
             status,
-        });
-        let receive = Time(9);
+        };
         assert_eq!(
-            of(&entry),
-            Some(Observation::Health(Health { receive, status }))
+            of(&Entry::Status(record)),
+            Some(Observation::Health(record))
         );
+        let receive = Time(9);
         let entry = Entry::Pose(Frame {
             frame_number: 4,
             receive_time_ns: 9,

@@ -126,7 +126,7 @@ mod tests {
     use singletrack_core::Config;
 
     use super::*;
-    use crate::{Answer, Attendance, Jog, Live, Observation, Question, Refused};
+    use crate::{Answer, Attendance, Jog, Observation, Question, Refused};
 
     thread_local! {
         static RUNS: Cell<[u32; 3]> = const { Cell::new([0; 3]) };
@@ -202,7 +202,7 @@ mod tests {
             self.is_interrupted.then_some(Interrupted::ByOperator)
         }
 
-        fn show(&mut self, _: &Live<'_>) {}
+        fn show(&mut self, _: &str, _: f64) {}
 
         fn arm(&mut self, _: Attendance) -> Result<(), Refused> {
             Ok(())

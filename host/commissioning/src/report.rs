@@ -1,15 +1,8 @@
-//! Findings as JSON, for programs, and as a page for people.
+//! Findings as a page for people.
 
 use std::fmt::Write as _;
 
-use serde_json::{Value, json};
-
 use crate::{Finding, Interval, Parameter, Verdict};
-
-/// A finding as JSON.
-pub fn to_json(finding: &Finding) -> Value {
-    json!(finding)
-}
 
 /// The subject of a page.
 #[derive(Clone, Copy, Debug)]
@@ -136,6 +129,7 @@ fn cell(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use serde::Deserialize as _;
+    use serde_json::{Value, json};
 
     use super::*;
 
@@ -171,15 +165,15 @@ mod tests {
 
     #[test]
     fn a_finding_survives_json() {
-        let json: Value = serde_json::from_str(&to_json(&finding()).to_string()).unwrap();
+        let json: Value = serde_json::from_str(&json!(finding()).to_string()).unwrap();
         let back = from_json(json).unwrap();
-        assert_eq!(to_json(&back), to_json(&finding()));
+        assert_eq!(json!(back), json!(finding()));
         assert_eq!(back.verdict, Verdict::Warning);
     }
 
     #[test]
     fn json_that_is_no_finding_is_refused() {
-        let whole = to_json(&finding());
+        let whole = json!(finding());
         for key in ["step", "verdict", "found", "expected", "fix", "parameters"] {
             let mut broken = whole.clone();
             broken.as_object_mut().unwrap().remove(key);

@@ -90,14 +90,9 @@ pub struct Track {
 
 /// Tells the poses of a drive apart, which are in the order of time.
 pub fn tell(poses: &[(Time, CarPose)]) -> Track {
-    let mut seen: Vec<Seen> = poses
-        .iter()
-        .map(|&(time, pose)| Seen {
-            time,
-            pose,
-            kind: Kind::Car,
-        })
-        .collect();
+    let kind = Kind::Car;
+    let seen = poses.iter().map(|&(time, pose)| Seen { time, pose, kind });
+    let mut seen: Vec<Seen> = seen.collect();
     ghosts(&mut seen);
     moments(&mut seen);
     Track::of(seen)
@@ -110,15 +105,10 @@ fn ghosts(seen: &mut [Seen]) {
         let elapsed = to.time.seconds_since(from.time).min(most);
         (to.pose.position - from.pose.position).norm() <= ERROR + FASTEST * elapsed
     };
-    let mut car: Option<Seen> = None;
-    let mut ghost: Option<Seen> = None;
-    for index in 0..seen.len() {
-        let (before, rest) = seen.split_at_mut(index);
-        let Some(now) = rest.first_mut() else { break };
-        let last = before.last();
-        let goes_on = last.is_some_and(|last| reaches(last, now, 0.2));
+    let [mut last, mut car, mut ghost] = [None::<Seen>; 3];
+    for now in seen {
         now.kind = match last {
-            Some(last) if goes_on => last.kind,
+            Some(last) if reaches(&last, now, 0.2) => last.kind,
             _ if car.is_some_and(|car| !reaches(&car, now, f64::INFINITY)) => Kind::Ghost,
             _ if ghost.is_some_and(|ghost| reaches(&ghost, now, 0.2)) => Kind::Ghost,
             _ => Kind::Car,
@@ -127,31 +117,21 @@ fn ghosts(seen: &mut [Seen]) {
             Kind::Ghost => ghost = Some(*now),
             _ => car = Some(*now),
         }
+        last = Some(*now);
     }
 }
 
 /// Poses that differ from the median of those around them.
 fn moments(seen: &mut [Seen]) {
-    let of_car: Vec<usize> = (0..seen.len())
-        .filter(|index| seen.get(*index).is_some_and(|seen| seen.kind == Kind::Car))
-        .collect();
-    let car: Vec<CarPose> = of_car
-        .iter()
-        .filter_map(|index| Some(seen.get(*index)?.pose))
-        .collect();
-    for (place, index) in of_car.iter().enumerate() {
+    let of_car = seen.iter_mut().filter(|seen| seen.kind == Kind::Car);
+    let of_car: Vec<&mut Seen> = of_car.collect();
+    let car: Vec<CarPose> = of_car.iter().map(|seen| seen.pose).collect();
+    for (place, seen) in of_car.into_iter().enumerate() {
         let first = place.saturating_sub(MEDIAN / 2);
-        let around = car
-            .get(first..(first + MEDIAN).min(car.len()))
-            .unwrap_or(&[]);
-        let (Some(now), Some(seen)) = (car.get(place), seen.get_mut(*index)) else {
-            continue;
-        };
-        let median = |value: &dyn Fn(&CarPose) -> f64| {
-            let mut values: Vec<f64> = around.iter().map(value).collect();
-            values.sort_by(f64::total_cmp);
-            values.get(values.len() / 2).copied().unwrap_or(0.0)
-        };
+        let around = &car[first..(first + MEDIAN).min(car.len())];
+        let now = seen.pose;
+        let median =
+            |value: &dyn Fn(&CarPose) -> f64| middle(around.iter().map(value)).unwrap_or(0.0);
         let x = median(&|pose| pose.position.x - now.position.x);
         let y = median(&|pose| pose.position.y - now.position.y);
         let yaw = median(&|pose| wrap(pose.yaw - now.yaw));
@@ -161,6 +141,13 @@ fn moments(seen: &mut [Seen]) {
             () => Kind::Car,
         };
     }
+}
+
+/// The median, the upper one of two.
+fn middle(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 /// Parabolas through poses, over the time from `origin`: x and y relative to the first pose, and yaw
@@ -200,15 +187,10 @@ impl Parabolas {
 
 impl Track {
     fn of(seen: Vec<Seen>) -> Self {
-        let mut times: Vec<f64> = seen
+        let times = seen
             .windows(2)
-            .filter_map(|pair| match pair {
-                [before, after] => Some(after.time.seconds_since(before.time)),
-                _ => None,
-            })
-            .collect();
-        times.sort_by(f64::total_cmp);
-        let period = times.get(times.len() / 2).copied().unwrap_or(0.01);
+            .map(|pair| pair[1].time.seconds_since(pair[0].time));
+        let period = middle(times).unwrap_or(0.01);
         let half = HALF.max(PERIODS * period);
         let whole = 2.0 * half / period.max(1e-4);
         Self {
@@ -231,14 +213,10 @@ impl Track {
     /// The poses that smooth the motion at `time`; none where too few are on either side, or one of
     /// them is off.
     fn around(&self, time: Time) -> Option<&[Seen]> {
-        let half = self.half;
-        let begin = self
-            .seen
-            .partition_point(|seen| seen.time < time.before(half));
-        let end = self
-            .seen
-            .partition_point(|seen| seen.time <= time.after(half));
-        let around = self.seen.get(begin..end)?;
+        let (seen, half) = (&self.seen, self.half);
+        let begin = seen.partition_point(|seen| seen.time < time.before(half));
+        let end = seen.partition_point(|seen| seen.time <= time.after(half));
+        let around = &seen[begin..end];
         let at = |seen: &Seen| seen.time.seconds_since(time);
         let reaches = at(around.first()?) <= -0.6 * half && at(around.last()?) >= 0.6 * half;
         let whole = around.iter().all(|seen| seen.kind == Kind::Car);
@@ -280,16 +258,11 @@ impl Track {
 
 /// Stretches of poses of another body: first and last time.
 pub fn ghosts_of(seen: impl Iterator<Item = Seen>) -> Vec<[Time; 2]> {
-    let mut ghosts: Vec<[Time; 2]> = Vec::new();
-    let mut was = false;
-    for seen in seen {
-        let is = seen.kind == Kind::Ghost;
-        match ghosts.last_mut() {
-            Some([_, last]) if is && was => *last = seen.time,
-            _ if is => ghosts.push([seen.time, seen.time]),
-            _ => {}
-        }
-        was = is;
-    }
+    let seen: Vec<Seen> = seen.collect();
+    let is_ghost = |seen: &Seen| seen.kind == Kind::Ghost;
+    let stretches = seen.chunk_by(|one, other| is_ghost(one) == is_ghost(other));
+    let ghosts = stretches.filter(|stretch| is_ghost(&stretch[0]));
     ghosts
+        .map(|ghost| [ghost[0].time, ghost[ghost.len() - 1].time])
+        .collect()
 }

@@ -23,23 +23,17 @@ pub struct Motion {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Singularity {
-    /// The front wheels are nearly perpendicular to the velocity: |cos(β - δ)| is too small.
+    /// The front wheels are nearly perpendicular to the velocity: |cos(β - δ)|, given, is too small.
     #[error(
-        "cos(sideslip - steering) is {cosine}, at the singularity of the law: \
+        "cos(sideslip - steering) is {0}, at the singularity of the law: \
          sideslip and steering are too far apart"
     )]
-    WheelsAcrossVelocity {
-        /// cos(β - δ).
-        cosine: f64,
-    },
-    /// The velocity-point law is singular at standstill.
+    WheelsAcrossVelocity(f64),
+    /// The velocity-point law is singular at standstill: the speed that it would command, in m/s.
     #[error(
-        "the speed is {speed} m/s, at the singularity of the velocity-point law: it needs a car that moves"
+        "the speed is {0} m/s, at the singularity of the velocity-point law: it needs a car that moves"
     )]
-    Standstill {
-        /// The speed that the law would command, in m/s.
-        speed: f64,
-    },
+    Standstill(f64),
     /// The state or the velocity is not finite.
     #[error("the law was given a state or a velocity that is not finite")]
     NotFinite,
@@ -52,16 +46,9 @@ pub enum LawError {
     /// The distance p must not be zero (paper, footnote to equation 3).
     #[error("point_distance_m is {0}: it must be finite and above zero")]
     PointDistance(f64),
-    /// The estimate of `l_f` is outside the wheelbase.
-    #[error(
-        "front_axle_distance_m is {value}: it must lie between 0 and the wheelbase, {wheelbase}"
-    )]
-    FrontAxleDistance {
-        /// The estimate.
-        value: f64,
-        /// `l_f + l_r`.
-        wheelbase: f64,
-    },
+    /// The estimate of `l_f` is outside the wheelbase, `l_f + l_r`: both, in m.
+    #[error("front_axle_distance_m is {0}: it must lie between 0 and the wheelbase, {1}")]
+    FrontAxleDistance(f64, f64),
 }
 
 /// The law counts as singular at a smaller |cos(β - δ)|, beyond 84 degrees.
@@ -115,10 +102,7 @@ impl FrontPointLaw {
     ) -> Result<Self, LawError> {
         // An estimate written as l_f + l_r may exceed the wheelbase by a rounding error.
         if !(0.0..=wheelbase * (1.0 + 1e-9)).contains(&front_axle_distance) {
-            return Err(LawError::FrontAxleDistance {
-                value: front_axle_distance,
-                wheelbase,
-            });
+            return Err(LawError::FrontAxleDistance(front_axle_distance, wheelbase));
         }
         let law = Self {
             front_axle_distance,
@@ -182,7 +166,7 @@ impl FrontPointLaw {
         } = *motion;
         let cosine = cos(sideslip - steering);
         if cosine.abs() < SMALLEST_COSINE {
-            return Err(Singularity::WheelsAcrossVelocity { cosine });
+            return Err(Singularity::WheelsAcrossVelocity(cosine));
         }
         let (sin_wheels, cos_wheels) = sincos(yaw + steering);
         let (sin_course, cos_course) = sincos(yaw + sideslip);
@@ -223,7 +207,7 @@ const SMALLEST_SPEED: f64 = 1e-3;
 /// assert!(command.steering > 0.0, "to the left");
 ///
 /// let standstill = law.command(&straight_on, &Velocity::zeros());
-/// assert!(matches!(standstill, Err(Singularity::Standstill { .. })));
+/// assert!(matches!(standstill, Err(Singularity::Standstill(_))));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -250,17 +234,8 @@ impl VelocityPointLaw {
     /// p must be finite and above zero, and the estimate of `l_f` between 0 and the
     /// wheelbase, both ends included.
     pub fn new(vehicle: VehicleParameters, point_distance: f64) -> Result<Self, LawError> {
-        if !(point_distance.is_finite() && point_distance > 0.0) {
-            return Err(LawError::PointDistance(point_distance));
-        }
-        let wheelbase = vehicle.wheelbase_m();
-        let l_f = vehicle.front_axle_distance_m;
-        if !(0.0..=wheelbase * (1.0 + 1e-9)).contains(&l_f) {
-            return Err(LawError::FrontAxleDistance {
-                value: l_f,
-                wheelbase,
-            });
-        }
+        let (l_f, wheelbase) = (vehicle.front_axle_distance_m, vehicle.wheelbase_m());
+        FrontPointLaw::new(l_f, point_distance, wheelbase)?;
         Ok(Self {
             vehicle,
             point_distance,
@@ -291,7 +266,7 @@ impl VelocityPointLaw {
         let (sine, cosine) = sincos(motion.yaw + motion.sideslip);
         let speed = point_velocity.x * cosine + point_velocity.y * sine;
         if speed.abs() < SMALLEST_SPEED {
-            return Err(Singularity::Standstill { speed });
+            return Err(Singularity::Standstill(speed));
         }
         let turn_rate = (point_velocity.y * cosine - point_velocity.x * sine) / self.point_distance;
         let [m, _, l_f, l_r, c_f, c_r] = self.vehicle.symbols();

@@ -55,8 +55,7 @@ pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
 #[cfg(feature = "alloc")]
 pub use boxed_loop::BoxedLoop;
 pub use calibration::{
-    Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
-    CalibrationTick, student_quantile,
+    Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, student_quantile,
 };
 pub use compensation::{ActuatorModel, Predicted, Predictor};
 pub use convex_area::{AreaError, ConvexArea, MAX_AREA_CORNERS, Side};

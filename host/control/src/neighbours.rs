@@ -167,7 +167,8 @@ impl Neighbour {
 /// The other bodies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Neighbours {
-    config: NeighbourConfig,
+    /// What is expected of them.
+    pub config: NeighbourConfig,
     bodies: Vec<Neighbour, MAX_NEIGHBOURS>,
     /// Whether there were more than can be followed.
     are_too_many: bool,
@@ -181,11 +182,6 @@ impl Neighbours {
             bodies: Vec::new(),
             are_too_many: false,
         }
-    }
-
-    /// What is expected of them.
-    pub const fn config(&self) -> &NeighbourConfig {
-        &self.config
     }
 
     /// Takes what a frame says of one of them.

@@ -64,7 +64,7 @@ impl<const N: usize, const M: usize> QuadraticRegulator<N, M> {
         if !finite.chain(weights).all(|number| number.is_finite()) {
             return Err(RiccatiError::NotFinite);
         }
-        if !is_positive_definite(&self.input_weight) {
+        if self.input_weight.cholesky().is_none() {
             return Err(RiccatiError::InputWeight);
         }
         let weighted =
@@ -137,24 +137,6 @@ fn product<const R: usize, const K: usize, const C: usize>(
 
 fn symmetric<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
     0.5 * (matrix + matrix.transpose())
-}
-
-/// Whether every pivot of the elimination without exchange is above zero.
-fn is_positive_definite<const M: usize>(matrix: &SMatrix<f64, M, M>) -> bool {
-    let mut left = *matrix;
-    for pivot in 0..M {
-        let divisor = left[(pivot, pivot)];
-        if divisor.is_nan() || divisor <= 0.0 {
-            return false;
-        }
-        for row in pivot + 1..M {
-            let share = left[(row, pivot)] / divisor;
-            for column in pivot..M {
-                left[(row, column)] -= share * left[(pivot, column)];
-            }
-        }
-    }
-    true
 }
 
 /// The solution of `matrix` x = `right` by Gaussian elimination with partial pivoting; none if

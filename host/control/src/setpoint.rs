@@ -24,7 +24,7 @@ const MAX_STEERING_RATE: f64 = 100.0;
 const MAX_START: f64 = 1.0;
 
 /// Where a set-point comes from in time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SetpointStamp {
     /// When it was decided. Its age counts from here.
     pub time: Time,
@@ -94,7 +94,7 @@ pub struct TrajectoryPoint {
 }
 
 /// Points that P should pass in time, between them a cubic curve with their velocities.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trajectory {
     /// When it was decided, and its number.
     pub stamp: SetpointStamp,
@@ -139,6 +139,14 @@ pub enum SetpointError {
 }
 
 impl SetpointStamp {
+    /// A decision at `time` without a number.
+    pub const fn at(time: Time) -> Self {
+        Self {
+            time,
+            sequence: None,
+        }
+    }
+
     /// Checks that a set-point with this stamp may be obeyed at `now` for it is neither from the
     /// future nor older than `timeout` seconds.
     ///
@@ -186,33 +194,28 @@ impl Demand {
                     SteeringDemand::AngleWithin { angle, rate } => (angle, rate),
                     SteeringDemand::Rate(rate) => (0.0, rate),
                 };
-                within(
-                    &[angle],
-                    MAX_STEERING,
-                    "steering_rad must lie between -pi/2 and pi/2",
-                )?;
-                within(
-                    &[rate],
-                    MAX_STEERING_RATE,
-                    "steering_rate_rad_s must lie between -100 and 100",
-                )?;
-                match speed {
-                    SpeedDemand::Speed(speed) => within(
-                        &[speed],
+                let (value, most, text) = match speed {
+                    SpeedDemand::Speed(speed) => (
+                        speed,
                         MAX_VELOCITY,
                         "speed_m_s must lie between -100 and 100",
                     ),
-                    SpeedDemand::RearSpeed(speed) => within(
-                        &[speed],
+                    SpeedDemand::RearSpeed(speed) => (
+                        speed,
                         MAX_VELOCITY,
                         "rear_speed_m_s must lie between -100 and 100",
                     ),
-                    SpeedDemand::Acceleration(acceleration) => within(
-                        &[acceleration],
+                    SpeedDemand::Acceleration(acceleration) => (
+                        acceleration,
                         MAX_ACCELERATION,
                         "acceleration_m_s2 must lie between -100 and 100",
                     ),
-                }
+                };
+                let of_angle = "steering_rad must lie between -pi/2 and pi/2";
+                let of_rate = "steering_rate_rad_s must lie between -100 and 100";
+                within(&[angle], MAX_STEERING, of_angle)?;
+                within(&[rate], MAX_STEERING_RATE, of_rate)?;
+                within(&[value], most, text)
             }
         }
     }
@@ -222,10 +225,7 @@ impl Setpoint {
     /// A velocity of P, with a position or without, decided at `time`.
     pub const fn point(time: Time, position: Option<Position>, velocity: Velocity) -> Self {
         Self {
-            stamp: SetpointStamp {
-                time,
-                sequence: None,
-            },
+            stamp: SetpointStamp::at(time),
             demand: Demand::Point(ReferencePoint { position, velocity }),
         }
     }
@@ -233,10 +233,7 @@ impl Setpoint {
     /// Steering and speed, decided at `time`.
     pub const fn actuation(time: Time, steering: SteeringDemand, speed: SpeedDemand) -> Self {
         Self {
-            stamp: SetpointStamp {
-                time,
-                sequence: None,
-            },
+            stamp: SetpointStamp::at(time),
             demand: Demand::Actuation { steering, speed },
         }
     }

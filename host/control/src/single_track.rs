@@ -27,20 +27,8 @@ pub struct SingleTrackState<N = f64> {
     pub sideslip: N,
 }
 
-/// The time derivative of a [`SingleTrackState`], per second.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct SingleTrackDerivative<N = f64> {
-    /// Velocity of G along x, in m/s.
-    pub x: N,
-    /// Velocity of G along y, in m/s.
-    pub y: N,
-    /// Yaw rate, in rad/s.
-    pub yaw: N,
-    /// Yaw acceleration, in rad/s².
-    pub yaw_rate: N,
-    /// Rate of the sideslip, in rad/s.
-    pub sideslip: N,
-}
+/// The time derivative of each value of a [`SingleTrackState`], per second.
+pub type SingleTrackDerivative<N = f64> = SingleTrackState<N>;
 
 impl<N: Copy> SingleTrackState<N> {
     /// The derivative of this state: equation 2, with the lateral motion from elsewhere.

@@ -26,14 +26,9 @@ pub enum SteeringTableError {
     /// Not a number, or infinite.
     #[error("[{}, {}] is not a pulse in us and an angle in rad", .0[0], .0[1])]
     NotFinite([f64; 2]),
-    /// The pulses do not increase.
-    #[error("{after} us after {before} us: put the pairs in the order of their pulses")]
-    Order {
-        /// A pulse, in µs.
-        before: f64,
-        /// That of the next pair, in µs.
-        after: f64,
-    },
+    /// The pulses do not increase: one in µs, and that of the next pair.
+    #[error("{1} us after {0} us: put the pairs in the order of their pulses")]
+    Order(f64, f64),
     /// The angles neither all rise nor all fall.
     #[error("the wheels turn back at {0} us: the angles must all rise, or all fall")]
     TurnsBack(f64),
@@ -128,7 +123,7 @@ impl TryFrom<Pairs> for SteeringTable {
         for steps in pairs.windows(2) {
             let [[before, from], [after, to]] = [steps[0], steps[1]];
             if after <= before {
-                return Err(Order { before, after });
+                return Err(Order(before, after));
             }
             if (to - from) * (last - first) < 0.0 {
                 return Err(TurnsBack(before));

@@ -7,12 +7,12 @@ use crate::{
 
 /// The outer loop that the configuration selects.
 ///
-/// To assign one (`clone_from`) of the same kind allocates nothing.
+/// To [assign](Self::assign) one of the same kind allocates nothing.
 #[expect(
     clippy::large_enum_variant,
     reason = "a controller has one or two of them, and without an allocator it can't be boxed"
 )]
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum TrackingLoop {
     /// See [`ProportionalLoop`].
@@ -28,28 +28,16 @@ pub enum TrackingLoop {
     Own(crate::BoxedLoop),
 }
 
-impl Clone for TrackingLoop {
-    fn clone(&self) -> Self {
-        match self {
-            Self::Proportional(tracking) => Self::Proportional(*tracking),
-            Self::Lqi(tracking) => Self::Lqi(*tracking),
-            Self::Mpc(tracking) => Self::Mpc(tracking.clone()),
-            Self::OpenLoop(tracking) => Self::OpenLoop(*tracking),
-            #[cfg(feature = "alloc")]
-            Self::Own(tracking) => Self::Own(tracking.clone()),
-        }
-    }
-
-    fn clone_from(&mut self, source: &Self) {
+impl TrackingLoop {
+    /// Becomes a copy of `source`.
+    pub fn assign(&mut self, source: &Self) {
         match (self, source) {
             #[cfg(feature = "alloc")]
             (Self::Own(tracking), Self::Own(source)) => tracking.clone_from(source),
             (tracking, source) => *tracking = source.clone(),
         }
     }
-}
 
-impl TrackingLoop {
     /// The commanded velocity of P (m/s) when P is at `point` (m); none for a loop with a state,
     /// which needs a tick.
     pub fn velocity(&self, reference: &ReferencePoint, point: &Position) -> Option<Velocity> {

@@ -277,7 +277,7 @@ fn the_reference_begins_at_the_time_that_was_asked_for_whichever_tick_comes_next
             drive.tick(index);
             let output = drive.output().unwrap();
             // As ticks of any drive: at most 20 us.
-            let slide_ns = drive.host.control.slide_ns();
+            let slide_ns = drive.host.control.slide_ns;
             assert!(!output.mode.is_underway() || slide_ns.abs() <= 20_000);
             if let Some(drive_time) = output.drive_time {
                 break drive_time;

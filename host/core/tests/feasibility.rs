@@ -285,7 +285,7 @@ fn a_circle_that_takes_all_of_the_steering_is_a_warning() {
     let judgement = found(&config);
     let finding = only(&judgement);
     assert_eq!(finding.severity, Severity::Warning);
-    assert!(finding.fix.contains("corrections"), "{finding}");
+    assert!(finding.what.fix.contains("corrections"), "{finding}");
     assert!(judgement.start.is_some());
 }
 
@@ -313,8 +313,11 @@ fn what_is_too_fast_for_the_limits_is_impossible() {
         let config = Config { limits, ..own() };
         let judgement = found(&config);
         let finding = only(&judgement);
-        assert_eq!((finding.severity, finding.key), (Severity::Impossible, key));
-        assert!(finding.fix.contains(part), "{finding}");
+        assert_eq!(
+            (finding.severity, finding.what.key),
+            (Severity::Impossible, key)
+        );
+        assert!(finding.what.fix.contains(part), "{finding}");
     }
 }
 
@@ -326,9 +329,12 @@ fn a_fence_that_the_car_cannot_stay_inside_is_impossible_and_a_larger_one_is_not
     config.fence.corners_m = square(0.7);
     let judgement = found(&config);
     let finding = only(&judgement);
-    assert_eq!(finding.key, "fence.corners_m");
+    assert_eq!(finding.what.key, "fence.corners_m");
     assert_eq!(finding.severity, Severity::Impossible);
-    assert!(finding.fix.contains("fence.margin_m = 0.2"), "{finding}");
+    assert!(
+        finding.what.fix.contains("fence.margin_m = 0.2"),
+        "{finding}"
+    );
     assert_eq!(judgement.start, None);
 }
 
@@ -339,20 +345,20 @@ fn a_circle_that_the_fence_has_no_room_for_names_the_radius_and_the_largest_one(
     let judgement = found(&config);
     let finding = only(&judgement);
     assert_eq!(
-        (finding.key, &*finding.value),
+        (finding.what.key, &*finding.what.value),
         ("reference.radius_m", "1.2")
     );
-    let (_, rest) = finding.fix.split_once("give ").unwrap();
+    let (_, rest) = finding.what.fix.split_once("give ").unwrap();
     let largest: f64 = rest.split(' ').next().unwrap().parse().unwrap();
     config.reference = circle(largest + 0.02, 0.3);
-    assert_eq!(only(&found(&config)).key, "reference.radius_m");
+    assert_eq!(only(&found(&config)).what.key, "reference.radius_m");
     // From there on it is the way to the circle that takes room.
     config.reference = circle(largest - 0.02, 0.3);
     assert!(
         found(&config)
             .findings
             .iter()
-            .all(|finding| finding.key != "reference.radius_m")
+            .all(|finding| finding.what.key != "reference.radius_m")
     );
 }
 
@@ -363,7 +369,7 @@ fn a_car_of_which_the_axles_are_known_is_the_papers_at_that_scale_with_a_warning
         let config = format!("{EXAMPLE}\n[vehicle]\n{axles}{keys}");
         let config = Config::from_toml(&config).unwrap();
         let warned = found(&config).findings.into_iter();
-        let warned = warned.filter(|finding| finding.key.starts_with("vehicle"));
+        let warned = warned.filter(|finding| finding.what.key.starts_with("vehicle"));
         (
             config,
             warned
@@ -465,7 +471,7 @@ fn a_path_is_judged_by_its_bends_and_by_the_fence() {
     config.reference = oval(2.2, 1.8, 0.5);
     config.fence.corners_m = square(1.0);
     let judgement = found(&config);
-    assert_eq!(only(&judgement).key, "fence.corners_m");
+    assert_eq!(only(&judgement).what.key, "fence.corners_m");
     assert!(!judgement.is_possible());
 }
 
@@ -481,7 +487,7 @@ fn a_reference_from_outside_is_not_judged() {
 /// The finding that says what the governor makes of a reference.
 fn governed(judgement: &Judgement) -> &Finding {
     let finding = only(judgement);
-    assert_eq!(finding.key, "governor.enabled");
+    assert_eq!(finding.what.key, "governor.enabled");
     finding
 }
 
@@ -533,7 +539,7 @@ fn a_governor_does_not_make_up_for_a_fence_or_for_a_loop_that_lags() {
     let keys: Vec<_> = judgement
         .findings
         .iter()
-        .map(|finding| finding.key)
+        .map(|finding| finding.what.key)
         .collect();
     assert_eq!(keys, ["governor.enabled", "reference.radius_m"]);
     config.outer_loop =
@@ -543,7 +549,7 @@ fn a_governor_does_not_make_up_for_a_fence_or_for_a_loop_that_lags() {
     let judgement = found(&config);
     assert!(!judgement.is_possible());
     let last = judgement.findings.last().unwrap();
-    assert_eq!(last.key, "fence.corners_m");
+    assert_eq!(last.what.key, "fence.corners_m");
     assert_eq!(last.severity, Severity::Impossible);
 }
 
@@ -572,7 +578,7 @@ fn a_governed_path_may_lead_to_the_geofence_but_not_out_of_it() {
     let [finding] = out.findings.as_slice() else {
         panic!("{out:?}");
     };
-    assert_eq!(finding.key, "fence.corners_m");
+    assert_eq!(finding.what.key, "fence.corners_m");
     assert!(finding.to_string().contains("it waits there for ever"));
 }
 
@@ -612,7 +618,7 @@ fn straight(seconds: f64) -> Config {
 #[test]
 fn velocity_steps_are_driven_from_anywhere_inside_the_fence() {
     assert!(found(&straight(1.0)).start.is_some());
-    assert_eq!(only(&found(&straight(10.0))).key, "fence.corners_m");
+    assert_eq!(only(&found(&straight(10.0))).what.key, "fence.corners_m");
 }
 
 #[test]
@@ -644,7 +650,7 @@ fn what_was_left_as_in_the_example_is_a_warning() {
     let keys: Vec<_> = judgement
         .findings
         .iter()
-        .map(|finding| finding.key)
+        .map(|finding| finding.what.key)
         .collect();
     assert_eq!(
         keys,

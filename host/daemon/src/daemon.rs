@@ -126,7 +126,7 @@ impl Daemon {
             Ok(host) => host,
             Err(error) => return Err(error.to_string()),
         };
-        let config = host.configurations.in_force().clone();
+        let config = host.configurations.in_force.clone();
         let mut refusals = Vec::new();
         let memory_locked = options.lock_memory
             && realtime::lock_memory()
@@ -266,7 +266,7 @@ impl Daemon {
         let (granted_in, granted) = mpsc::sync_channel(1);
         let thread = NamedThread::spawn("control", move || {
             let _ended = SetOnDrop(Arc::clone(&state.ended));
-            realtime::touch_memory(control.rings_mut());
+            realtime::touch_memory(&mut control.rings);
             let granted = realtime::make_punctual(priority);
             control.real_time(RealTimeState {
                 fifo: matches!(granted, Ok(Some(_))),

@@ -66,8 +66,8 @@ impl DriveCalibration {
 
     fn known(&self) -> Option<(u32, Calibration)> {
         let (config, estimator) = self.estimator.as_ref()?;
-        let mut known = advice(config, &estimator.estimates());
-        if let Some(change) = estimator.steering_change() {
+        let mut known = advice(config, &estimator.errors.estimates());
+        if let Some(change) = estimator.errors.steering_change {
             known.advice.push(format!(
                 "the steering has changed while the car drove, as by {change:.3} rad of trim: look \
                  at the servo's horn"

@@ -61,8 +61,8 @@ pub(crate) fn run(
                 log(event, config);
             }
         });
-        if receiver.passed() != passed {
-            passed = receiver.passed();
+        if receiver.passed != passed {
+            passed = receiver.passed;
             control.unpark();
         }
         let mut wait = Duration::from_nanos(until_ns.saturating_sub(monotonic_ns()));
@@ -71,7 +71,7 @@ pub(crate) fn run(
         }
         if stop.wait(&sockets.files(), wait) == Woken::Stop {
             receiver.close(&monotonic_ns, &mut sockets);
-            return (receiver.counters(), receiver.dropped());
+            return (receiver.counters(), receiver.dropped);
         }
     }
 }

@@ -55,10 +55,10 @@ pub(crate) struct Published {
 
 impl Published {
     fn of(configurations: &Configurations, last_change: Option<Change>) -> Self {
-        let config = configurations.in_force();
+        let config = &configurations.in_force;
         Self {
             view: Configuration {
-                number: configurations.number(),
+                number: configurations.number,
                 last_change,
             },
             config: Arc::new(config.clone()),
@@ -116,7 +116,7 @@ impl Reconfigurer {
     ) -> Result<u32, ChangeError> {
         self.change("set-reference", |configurations| {
             let folder = path.and_then(Path::parent);
-            let state = &configurations.in_force().state.directory;
+            let state = &configurations.in_force.state.directory;
             configurations.with_reference(reference, folder.unwrap_or(state))
         })
     }
@@ -125,7 +125,7 @@ impl Reconfigurer {
     pub(crate) fn in_force(&self) -> (u32, Config) {
         let state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
         let configurations = &state.configurations;
-        (configurations.number(), configurations.in_force().clone())
+        (configurations.number, configurations.in_force.clone())
     }
 
     /// Delays every change and every reader of the configuration for as long as it is held.
@@ -155,7 +155,7 @@ impl Reconfigurer {
         let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
         let result = self.try_change(&mut state, by, make);
         if let Err(error) = &result {
-            let number = state.configurations.number();
+            let number = state.configurations.number;
             warn!("{by}: configuration {number} stays: {error}");
             self.publish(Change {
                 by: by.into(),
@@ -203,11 +203,11 @@ impl Reconfigurer {
 
     /// Logs, records and publishes the configuration that is now in force.
     fn record(&self, by: &'static str, configurations: &Configurations) {
-        let number = configurations.number();
+        let number = configurations.number;
         let time_ns = monotonic_ns();
         let mut text = format!("{by}: configuration {number} is in force");
         let mut level = Level::Info;
-        match configurations.in_force().to_toml() {
+        match configurations.in_force.to_toml() {
             Ok(toml) => {
                 let record = ConfigurationRecord {
                     time_ns,

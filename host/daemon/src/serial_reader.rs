@@ -85,7 +85,7 @@ pub(crate) fn run(
             None => stop.wait(&[], left),
         };
         if woken == Woken::Stop {
-            return reader.counters();
+            return reader.counters;
         }
     }
 }

@@ -172,7 +172,7 @@ fn drive(mut drive: SimulatedDrive, ticks: u64) -> u64 {
         Ok(()) => 0,
         Err(_) => 2_000,
     };
-    realtime::touch_memory(drive.host.control.rings_mut());
+    realtime::touch_memory(&mut drive.host.control.rings);
     let (mut driving, mut governed, mut allocated, mut faults) = (0, 0, 0, 0);
     for index in 1..=uncounted + ticks {
         drive.run_until_tick(index);
@@ -272,7 +272,7 @@ fn a_tick_that_learns_allocates_nothing() {
         drive.after_tick();
     }
     assert_eq!(total, 0, "allocations");
-    let learned = drive.host.control.controller().pilot().learned();
+    let learned = drive.host.control.controller.pilot.learned();
     assert_eq!(learned.unwrap().body_yaw, 0.01);
 }
 

@@ -10,38 +10,20 @@ pub const MAX_FENCE_CORNERS: usize = 16;
 /// Why corners and margin are not a geofence.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FenceError {
-    /// Fewer than 3 corners, or more than [`MAX_FENCE_CORNERS`].
-    #[error("{count} corners: give 3 to {MAX_FENCE_CORNERS}, in order")]
-    Corners {
-        /// How many were given.
-        count: usize,
-    },
-    /// A coordinate is infinite or NaN.
-    #[error("corner {index} is ({x}, {y}): both must be finite")]
-    NotFinite {
-        /// Index of the corner, from 0.
-        index: usize,
-        /// Its x, in m.
-        x: f64,
-        /// Its y, in m.
-        y: f64,
-    },
-    /// Two sides cross or touch.
+    /// How many corners there are: fewer than 3, or more than [`MAX_FENCE_CORNERS`].
+    #[error("{0} corners: give 3 to {MAX_FENCE_CORNERS}, in order")]
+    Corners(usize),
+    /// A corner, by its index from 0, whose x or y in m is infinite or NaN.
+    #[error("corner {0} is ({1}, {2}): both must be finite")]
+    NotFinite(usize, f64, f64),
+    /// Two sides, by the indices of the corners where they begin, cross or touch.
     #[error(
-        "the sides from corner {first} and from corner {second} meet: give the corners in order around the area"
+        "the sides from corner {0} and from corner {1} meet: give the corners in order around the area"
     )]
-    Crosses {
-        /// Index of the corner where one side begins.
-        first: usize,
-        /// Index of the corner where the other side begins.
-        second: usize,
-    },
-    /// The margin is negative, infinite or NaN.
-    #[error("the margin is {margin}: it must be finite and not negative")]
-    Margin {
-        /// The margin, in m.
-        margin: f64,
-    },
+    Crosses(usize, usize),
+    /// The margin, in m, is negative, infinite or NaN.
+    #[error("the margin is {0}: it must be finite and not negative")]
+    Margin(f64),
 }
 
 /// A geofence: a polygon that the car's centre of mass must not leave, and must be
@@ -63,43 +45,21 @@ impl Fence {
     /// sides that cross or touch.
     pub fn new(corners: &[Position], margin: f64) -> Result<Self, FenceError> {
         if !(margin.is_finite() && margin >= 0.0) {
-            return Err(FenceError::Margin { margin });
+            return Err(FenceError::Margin(margin));
         }
         let count = corners.len();
-        let corners = Vec::from_slice(corners).map_err(|_| FenceError::Corners { count })?;
+        let corners = Vec::from_slice(corners).map_err(|_| FenceError::Corners(count))?;
         if count < 3 {
-            return Err(FenceError::Corners { count });
+            return Err(FenceError::Corners(count));
         }
         for (index, corner) in corners.iter().enumerate() {
             if !(corner.x.is_finite() && corner.y.is_finite()) {
-                return Err(FenceError::NotFinite {
-                    index,
-                    x: corner.x,
-                    y: corner.y,
-                });
+                return Err(FenceError::NotFinite(index, corner.x, corner.y));
             }
         }
         let fence = Self { corners, margin };
         fence.check_sides()?;
         Ok(fence)
-    }
-
-    /// A rectangle around `centre` with these full widths along x and y, in m.
-    ///
-    /// # Errors
-    ///
-    /// Those of [`Fence::new`]: a width of zero makes the sides meet.
-    pub fn rectangle(centre: Position, width: Velocity, margin: f64) -> Result<Self, FenceError> {
-        let (x, y) = (0.5 * width.x, 0.5 * width.y);
-        Self::new(
-            &[
-                centre + Velocity::new(-x, -y),
-                centre + Velocity::new(x, -y),
-                centre + Velocity::new(x, y),
-                centre + Velocity::new(-x, y),
-            ],
-            margin,
-        )
     }
 
     /// The corners, in the order given (m, world frame).
@@ -192,7 +152,7 @@ impl Fence {
                     sides_meet(&a, &b, &c, &d)
                 };
                 if meet {
-                    return Err(FenceError::Crosses { first, second });
+                    return Err(FenceError::Crosses(first, second));
                 }
             }
         }
@@ -233,8 +193,14 @@ fn sides_meet(a: &Position, b: &Position, c: &Position, d: &Position) -> bool {
 mod tests {
     use super::*;
 
+    /// A square of 2 m about the origin.
+    fn square(margin: f64) -> Result<Fence, FenceError> {
+        let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+        Fence::new(&corners.map(|(x, y)| Position::new(x, y)), margin)
+    }
+
     fn carpet() -> Fence {
-        Fence::rectangle(Position::origin(), Velocity::new(2.0, 2.0), 0.0).unwrap()
+        square(0.0).unwrap()
     }
 
     /// An L: the square from (0, 0) to (2, 2) without the part beyond (1, 1).
@@ -263,8 +229,7 @@ mod tests {
             let found = fence.clearance(&Position::new(x, y));
             assert!((found - clearance).abs() < 1e-12, "({x}, {y}): {found}");
         }
-        let with_margin =
-            Fence::rectangle(Position::origin(), Velocity::new(2.0, 2.0), 0.2).unwrap();
+        let with_margin = square(0.2).unwrap();
         assert!((with_margin.clearance(&Position::origin()) - 0.8).abs() < 1e-12);
         // From inside the margin to beyond the side, at every side.
         for distance in [0.81, 0.9, 1.0, 1.1] {
@@ -300,39 +265,24 @@ mod tests {
                 corners.iter().map(|&(x, y)| Position::new(x, y)).collect();
             Fence::new(&corners, 0.0)
         };
-        assert_eq!(
-            new(&[(0.0, 0.0), (1.0, 0.0)]),
-            Err(FenceError::Corners { count: 2 })
-        );
-        assert_eq!(
-            new(&[(0.0, 0.0); 17]),
-            Err(FenceError::Corners { count: 17 })
-        );
+        assert_eq!(new(&[(0.0, 0.0), (1.0, 0.0)]), Err(FenceError::Corners(2)));
+        assert_eq!(new(&[(0.0, 0.0); 17]), Err(FenceError::Corners(17)));
         let bow = [(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)];
-        assert_eq!(
-            new(&bow),
-            Err(FenceError::Crosses {
-                first: 0,
-                second: 2
-            })
-        );
+        assert_eq!(new(&bow), Err(FenceError::Crosses(0, 2)));
         for flat in [
             [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)],
             [(0.0, 0.0), (1.0, 0.0), (1.0, 0.0)],
             [(0.0, 0.0), (2.0, 0.0), (1.0, 0.0)],
         ] {
             assert!(
-                matches!(new(&flat), Err(FenceError::Crosses { .. })),
+                matches!(new(&flat), Err(FenceError::Crosses(..))),
                 "{flat:?}"
             );
         }
         assert!(matches!(
             new(&[(0.0, 0.0), (1.0, f64::NAN), (1.0, 1.0)]),
-            Err(FenceError::NotFinite { index: 1, .. })
+            Err(FenceError::NotFinite(1, ..))
         ));
-        assert!(
-            Fence::rectangle(Position::origin(), Velocity::new(1.0, 1.0), -0.1).is_err(),
-            "negative margin"
-        );
+        assert!(square(-0.1).is_err(), "negative margin");
     }
 }

@@ -58,37 +58,25 @@ impl Learned {
         ]
     }
 
-    const fn of(values: [f64; 6]) -> Self {
-        let [
-            steering_gain,
-            steering_trim,
-            stamp_offset,
-            body_yaw,
-            pivot_forward,
-            pivot_left,
-        ] = values;
-        Self {
-            steering_gain,
-            steering_trim,
-            stamp_offset,
-            body_yaw,
-            pivot_forward,
-            pivot_left,
-        }
-    }
-
     /// These corrections a time `dt` (s) later, on their way to `wanted`: never beyond
     /// [`MOST`](Self::MOST), and not towards what is not finite.
     pub fn towards(&self, wanted: &Self, dt: f64) -> Self {
-        let (now, wanted, most) = (self.values(), wanted.values(), Self::MOST.values());
-        Self::of(core::array::from_fn(|index| {
-            if !wanted[index].is_finite() {
-                return now[index];
+        let next = |of: fn(&Self) -> f64| {
+            let (now, wanted, most) = (of(self), of(wanted), of(&Self::MOST));
+            if !wanted.is_finite() {
+                return now;
             }
-            let change = most[index] * dt / TIME_TO_MOST;
-            let wanted = wanted[index].clamp(-most[index], most[index]);
-            wanted.clamp(now[index] - change, now[index] + change)
-        }))
+            let change = most * dt / TIME_TO_MOST;
+            wanted.clamp(-most, most).clamp(now - change, now + change)
+        };
+        Self {
+            steering_gain: next(|it| it.steering_gain),
+            steering_trim: next(|it| it.steering_trim),
+            stamp_offset: next(|it| it.stamp_offset),
+            body_yaw: next(|it| it.body_yaw),
+            pivot_forward: next(|it| it.pivot_forward),
+            pivot_left: next(|it| it.pivot_left),
+        }
     }
 
     /// The angle to command (rad) for an angle of the wheels (rad).

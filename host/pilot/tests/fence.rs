@@ -124,7 +124,7 @@ proptest! {
         let mut meeting = pairs.filter(|&(first, second)| sides_meet(&corners, first, second));
         match Fence::new(&positions(&metres), 0.0) {
             Ok(_) => prop_assert_eq!(meeting.next(), None),
-            Err(FenceError::Crosses { first, second }) => {
+            Err(FenceError::Crosses(first, second)) => {
                 prop_assert!(meeting.any(|pair| pair == (first, second)));
             }
             Err(other) => prop_assert!(false, "{}", other),
@@ -193,7 +193,7 @@ fn collinear_sides_meet_only_if_they_overlap() {
     });
     assert!(matches!(
         Fence::new(&positions(&bent), 0.0),
-        Err(FenceError::Crosses { .. })
+        Err(FenceError::Crosses(..))
     ));
 }
 

@@ -5,13 +5,13 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-use crate::bench::{Bench, config};
+use crate::bench::{Bench, config, square};
 use proptest::prelude::*;
 use singletrack_control::{
     Circle, Limits, Position, ProportionalLoop, Reference, TrackingLoop, Velocity,
 };
 use singletrack_pilot::{
-    Arming, Event, Fence, Mode, Output, POINT_DISTANCE_RATE, PilotConfig, PilotRequest, Tuning,
+    Arming, Event, Mode, Output, POINT_DISTANCE_RATE, PilotConfig, PilotRequest, Tuning,
     TuningBounds,
 };
 
@@ -240,7 +240,7 @@ proptest! {
         away in (-0.3..0.3, -0.3..0.3),
     ) {
         let limits = Limits::paper();
-        let fence = Fence::rectangle(Position::new(0.5, 1.5), Velocity::new(4.2, 4.2), 0.1).unwrap();
+        let fence = square(Position::new(0.5, 1.5), 4.2, 0.1);
         let mut bench = Bench::with(PilotConfig { fence: fence.clone(), ..tunable(Some(BOUNDS)) });
         bench.run(100);
         bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));

@@ -345,7 +345,7 @@ impl<'a> Run<'a> {
     }
 
     fn stop(&mut self) {
-        let reason = self.drive.host().controller().pilot().reason();
+        let reason = self.drive.controller().pilot.reason();
         let board = self.drive.world.board.telemetry();
         let reason = match (reason, board) {
             // The board stopped by itself, and knows why.
@@ -364,7 +364,7 @@ impl<'a> Run<'a> {
             let tick = self.drive.step();
             let output = &tick.tick.output;
             let Some(time) = output.drive_time.filter(|_| output.mode == Mode::Driving) else {
-                let reason = self.drive.host().controller().pilot().reason();
+                let reason = self.drive.controller().pilot.reason();
                 if ends.is_some()
                     && matches!(reason, Some(Reason::ReferenceFinished | Reason::Requested))
                 {
@@ -430,7 +430,7 @@ impl<'a> Run<'a> {
             (Driver::Predictive(law), Some(known)) => law.answer(&known),
             (Driver::Yours(decide), _) => {
                 match decide(tick) {
-                    Some(command) => self.drive.host().parts().setpoints.pass(&command),
+                    Some(command) => self.drive.host().parts.setpoints.pass(&command),
                     None => self.stopped = Some(NO_SETPOINT.to_owned()),
                 }
                 return;

@@ -242,7 +242,7 @@ impl Foreign<'_> {
                 command.steering.clamp(-MOST_STEERING, MOST_STEERING),
                 command.speed.clamp(0.0, MOST_SPEED),
             ],
-            Err(Singularity::Standstill { speed }) => [0.0, speed.max(0.0)],
+            Err(Singularity::Standstill(speed)) => [0.0, speed.max(0.0)],
             Err(_) => [0.0; 2],
         }
     }

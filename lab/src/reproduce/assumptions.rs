@@ -280,7 +280,7 @@ pub(super) fn cosine_refused(setup: &Setup, sideslip: f64, steering: f64) -> Opt
     };
     let law = law(setup, 0.0, setup.point_distance_m())?;
     match law.command(&motion, steering.to_radians(), &direction(0.0)) {
-        Err(Singularity::WheelsAcrossVelocity { cosine }) => Some(cosine),
+        Err(Singularity::WheelsAcrossVelocity(cosine)) => Some(cosine),
         _ => None,
     }
 }

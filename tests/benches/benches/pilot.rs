@@ -11,9 +11,9 @@ mod ticks;
 use bench::{Bench, config};
 use criterion::{Criterion, criterion_group, criterion_main};
 use singletrack_control::{
-    ActuatorModel, Calibration, CalibrationConfig, CalibrationSample, CalibrationTick, Circle,
-    DelayedMpc, FrontPointLaw, InertialSample, LqiAxis, LqiConfig, LqiLoop, Motion, MpcConfig,
-    PoseSample, Position, Reference, Time, TrackingLoop, VehicleParameters, Velocity,
+    ActuatorModel, Calibration, CalibrationConfig, Circle, DelayedMpc, FrontPointLaw,
+    InertialSample, LqiAxis, LqiConfig, LqiLoop, Motion, MpcConfig, PoseSample, Position,
+    Reference, Time, TrackingLoop, VehicleParameters, Velocity,
 };
 use singletrack_pilot::{Compensation, Event, Learned, Mode, PilotConfig};
 use ticks::measure;
@@ -132,27 +132,22 @@ fn learning(criterion: &mut Criterion) {
         tick += 1;
         let time = Time(tick * 10_000_000);
         let yaw = 0.5 * (0.01 * tick as f64).sin();
-        calibration.tick(&CalibrationTick {
-            time,
-            steering: Some(0.2 * yaw),
-            poses: &[PoseSample {
-                capture: time,
-                receive: time,
-                frame: 0,
-                position: Position::new(0.01 * tick as f64, yaw),
-                yaw,
-            }],
-            samples: &[CalibrationSample {
-                time,
-                inertial: Some(InertialSample {
-                    time,
-                    yaw_rate: yaw,
-                    forward_acceleration: 0.0,
-                    left_acceleration: 0.0,
-                }),
-                motor_speed: 1.0,
-            }],
+        calibration.begin_tick(time);
+        calibration.pose(&PoseSample {
+            capture: time,
+            receive: time,
+            frame: 0,
+            position: Position::new(0.01 * tick as f64, yaw),
+            yaw,
         });
+        let inertial = InertialSample {
+            time,
+            yaw_rate: yaw,
+            forward_acceleration: 0.0,
+            left_acceleration: 0.0,
+        };
+        calibration.board(time, Some(inertial), 1.0);
+        calibration.end_tick(time, Some(0.2 * yaw));
     };
     // The memory is full.
     (0..36_000).for_each(|_| learn(&mut calibration));

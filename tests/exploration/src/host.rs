@@ -4,7 +4,7 @@ use singletrack_control::Time;
 use singletrack_core::pilot_event;
 use singletrack_link::{DriveCommand, Event as LinkEvent, JogCommand, Session, SessionConfig};
 use singletrack_pilot::{
-    BoardRequest, Conditions, Event, ImuVerdict, LinkState, Mode, PilotRequest, RealTimeState,
+    BoardRequest, Conditions, Event, ImuVerdict, Jog, LinkState, Mode, PilotRequest, RealTimeState,
     Reason, Supervisor, SupervisorConfig,
 };
 use singletrack_protocol::{Configuration, ConfigurationError};
@@ -56,10 +56,10 @@ impl Host {
         let mut session = Session::new(session)?;
         session.handle_opened(now.0);
         let mut supervisor = Supervisor::new(supervisor);
-        supervisor.handle_real_time(RealTimeState {
+        supervisor.handle(&Event::RealTime(RealTimeState {
             fifo: true,
             memory_locked: true,
-        });
+        }));
         Ok(Self {
             session,
             supervisor,
@@ -92,7 +92,7 @@ impl Host {
         for event in &events {
             self.handle(event);
         }
-        self.supervisor.handle_link(LinkState::Down);
+        self.supervisor.handle(&Event::Link(LinkState::Down));
         self.session.handle_opened(now.0);
     }
 
@@ -102,7 +102,7 @@ impl Host {
             return;
         }
         if self.session.configure(now.0, configuration).is_ok() {
-            self.supervisor.handle_link(LinkState::Down);
+            self.supervisor.handle(&Event::Link(LinkState::Down));
             self.poses = 0;
         }
     }
@@ -116,11 +116,13 @@ impl Host {
             self.handle(event);
         }
         if core::mem::take(&mut self.arm_refused) {
-            self.supervisor.handle_arm_refused();
+            self.supervisor.handle(&Event::ArmRefused);
         }
         if self.hand {
-            self.supervisor.handle_request(PilotRequest::Hold);
-            self.supervisor.handle_jog();
+            self.supervisor.handle(&Event::Request(PilotRequest::Hold));
+            let JogCommand { servo_us, esc_us } = JOG;
+            self.supervisor
+                .handle(&Event::Jog(Jog { servo_us, esc_us }));
         }
         if seen.pose {
             self.pose_time = Some(now);
@@ -215,10 +217,9 @@ impl Host {
                 self.motor_speed = sample.motor_speed;
                 self.supervisor.handle_board(sample.state);
             }
-            Some(Event::Link(link)) => self.supervisor.handle_link(link),
-            Some(Event::Health(health)) => self.supervisor.handle_health(health),
             Some(Event::ArmRefused) => self.arm_refused = true,
-            _ => {}
+            Some(event) => self.supervisor.handle(&event),
+            None => {}
         }
     }
 

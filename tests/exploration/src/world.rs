@@ -6,7 +6,7 @@ use singletrack_board::{Board, ImuSample, Inputs, MotorPulses, Outputs};
 use singletrack_control::Time;
 use singletrack_core::Config;
 use singletrack_link::SessionConfig;
-use singletrack_pilot::{Arming, Mode, PilotRequest, SupervisorConfig};
+use singletrack_pilot::{Arming, Event as PilotEvent, Mode, PilotRequest, SupervisorConfig};
 use singletrack_protocol::{
     BoardMode, Configuration, Decoder, Frame, Packet, ResetCause, ToBoard, ToHost,
 };
@@ -192,7 +192,7 @@ impl World {
             }
             request => request,
         };
-        self.host.supervisor.handle_request(passed);
+        self.host.supervisor.handle(&PilotEvent::Request(passed));
     }
 
     /// A tick of all, with what happens to the frames in it, and whether the host misses it.

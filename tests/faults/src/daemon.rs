@@ -66,7 +66,7 @@ impl Daemon {
 
     /// Simulation time of the next tick, in µs, rounded up.
     pub(crate) const fn next_tick_us(&self) -> u64 {
-        (self.host.next_tick_ns() - EPOCH_NS).div_ceil(1_000)
+        (self.host.due_ns - EPOCH_NS).div_ceil(1_000)
     }
 
     /// Runs the serial reader. Returns whether it read bytes.
@@ -83,18 +83,19 @@ impl Daemon {
     /// Sends a request, as a client of the control socket. Returns false if the control
     /// loop has no room.
     pub(crate) fn request(&self, request: PilotRequest) -> bool {
-        self.host.request(request).is_ok()
+        let request = ControlRequest::Pilot(request);
+        self.host.parts.requests.push(request).is_ok()
     }
 
     /// Sends pulses, as a client that jogs.
     pub(crate) fn jog(&self, jog: Jog) {
-        self.host.parts().jogs.send(jog);
+        self.host.parts.jogs.send(jog);
     }
 
     /// Arms a car that waits until `begin_ns`. Without room, it is not armed.
     pub(crate) fn arm_at(&self, begin_ns: u64) {
         let request = ControlRequest::ArmAt(begin_ns);
-        let _ = self.host.parts().requests.push(request);
+        let _ = self.host.parts.requests.push(request);
     }
 
     /// Sends values to tune, as a client of the control socket. A refusal has no effect.
@@ -108,29 +109,33 @@ impl Daemon {
     /// Tells the pilot what is learned, as the daemon's own learner.
     pub(crate) fn tell(&self, learned: Learned) {
         // A full ring takes none.
-        let _ = self.host.learned(learned);
+        let request = ControlRequest::Learned(learned);
+        let _ = self.host.parts.requests.push(request);
     }
 
     /// The corrections in force.
     pub(crate) fn learned(&self) -> Option<Learned> {
-        self.host.controller().pilot().learned()
+        self.host.parts.control.controller.pilot.learned()
     }
 
     /// Sends a set-point, as a client of the control socket.
     pub(crate) fn send(&self, sent: &SetpointCommand) {
-        self.host.parts().setpoints.pass(sent);
+        self.host.parts.setpoints.pass(sent);
     }
 
     /// Reloads the configuration. A refusal has no effect; the daemon would log it.
     pub(crate) fn reload(&mut self, now_us: u64, config: &Config) {
         let until_ns = host_ns(now_us) + CHANGE_TIMEOUT_NS;
-        let _ = self.host.reconfigure(config.clone(), until_ns);
+        let host = &mut self.host.parts;
+        let _ = host
+            .configurations
+            .begin(config.clone(), until_ns, &host.requests);
     }
 
     /// The configuration that came into force since the last call, with its number.
     pub(crate) fn settled(&mut self) -> Option<(u32, &Config)> {
-        let number = self.host.settle()?.ok()?;
-        Some((number, self.host.parts().configurations.in_force()))
+        let number = self.host.parts.configurations.settle()?.ok()?;
+        Some((number, &self.host.parts.configurations.in_force))
     }
 
     /// Runs a tick of the control loop.

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, Finding, Interrupted, Jog, Journal, Live, Observation, Question,
-    Refused, Step, Verdict, bring_up, calibrate, doctor,
+    Answer, Attendance, Bench, Finding, Interrupted, Jog, Journal, Observation, Question, Refused,
+    Step, Verdict, bring_up, calibrate, doctor,
     edit::{Edit, EditError},
     run,
 };
@@ -236,7 +236,7 @@ impl VirtualBench {
 
     /// Why nothing is held any more.
     fn ended(&self) -> Refused {
-        let reason = self.drive.host().controller().pilot().reason();
+        let reason = self.drive.controller().pilot.reason();
         Refused(
             reason
                 .map_or("the car is not armed", Reason::name)
@@ -292,7 +292,7 @@ impl Bench for VirtualBench {
         Ok(self.person.answer(question, &*self.drive.world))
     }
 
-    fn show(&mut self, _: &Live<'_>) {}
+    fn show(&mut self, _: &str, _: f64) {}
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
         if attendance == Attendance::Drive && !self.has_reference {
@@ -334,7 +334,7 @@ impl Bench for VirtualBench {
             self.held = false;
             return Err(self.ended());
         }
-        self.drive.host().parts().jogs.send(singletrack_pilot::Jog {
+        self.drive.host().parts.jogs.send(singletrack_pilot::Jog {
             servo_us: jog.servo_us,
             esc_us: jog.esc_us,
         });

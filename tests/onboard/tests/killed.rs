@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, Finding, Interrupted, Jog, Journal, Live, Observation, Question,
-    Refused, Step, Verdict, bring_up, calibrate, doctor, run,
+    Answer, Attendance, Bench, Finding, Interrupted, Jog, Journal, Observation, Question, Refused,
+    Step, Verdict, bring_up, calibrate, doctor, run,
 };
 use singletrack_control::{Position, Velocity};
 use singletrack_core::Config;
@@ -68,7 +68,7 @@ impl Bench for Mortal<'_> {
         self.bench.ask(question)
     }
 
-    fn show(&mut self, _: &Live<'_>) {}
+    fn show(&mut self, _: &str, _: f64) {}
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
         self.lives()?;

@@ -5,7 +5,7 @@
 use core::f64::consts::TAU;
 
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, Finding, Interrupted, Jog, Live, Observation, Parameter, Question,
+    Answer, Attendance, Bench, Finding, Interrupted, Jog, Observation, Parameter, Question,
     Refused, Step, Verdict, bring_up, doctor, run,
 };
 use singletrack_control::{Position, Velocity};
@@ -47,9 +47,9 @@ impl Bench for Disarmed {
         Ok(answer)
     }
 
-    fn show(&mut self, live: &Live<'_>) {
-        assert!(live.done.is_finite() && !live.text.is_empty(), "{live:?}");
-        self.bench.show(live);
+    fn show(&mut self, text: &str, done: f64) {
+        assert!(done.is_finite() && !text.is_empty(), "{text}: {done}");
+        self.bench.show(text, done);
     }
 
     fn arm(&mut self, _: Attendance) -> Result<(), Refused> {
@@ -259,8 +259,8 @@ impl Bench for OnStand {
         self.bench.ask(question)
     }
 
-    fn show(&mut self, live: &Live<'_>) {
-        self.bench.show(live);
+    fn show(&mut self, text: &str, done: f64) {
+        self.bench.show(text, done);
     }
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {
@@ -457,8 +457,8 @@ impl Bench for OnTheFloor {
         self.bench.ask(question)
     }
 
-    fn show(&mut self, live: &Live<'_>) {
-        self.bench.show(live);
+    fn show(&mut self, text: &str, done: f64) {
+        self.bench.show(text, done);
     }
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {

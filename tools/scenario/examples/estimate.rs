@@ -138,7 +138,7 @@ impl Errors {
             let truth = &tick.truth;
             self.yaw_rate.add(estimate.yaw_rate - truth.yaw_rate);
             self.speed.add(estimate.speed - truth.speed);
-            let estimator = drive.host().controller().pilot().estimator();
+            let estimator = drive.controller().pilot.estimator();
             self.innovation.add_square(estimator.innovation());
             if truth.speed.abs() > MOVES {
                 let off = wrap(estimate.sideslip - truth.sideslip);

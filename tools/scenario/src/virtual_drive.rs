@@ -11,13 +11,14 @@ use std::{
 
 use singletrack_control::{Estimate, Position, Setpoint, Time, Velocity};
 use singletrack_core::{
-    ConfigError, HostOptions, Stalled, VirtualHost,
+    ConfigError, ControlRequest, HostOptions, Stalled, VirtualHost,
     cameras::{Channel, Sockets},
     config::{Config, ReferenceSection},
+    controller::Controller,
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
 };
-use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Learned, Mode, PilotRequest, Reason};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 
@@ -229,9 +230,14 @@ impl VirtualDrive {
         &self.host
     }
 
+    /// The controller.
+    pub const fn controller(&self) -> &Controller {
+        &self.host.parts.control.controller
+    }
+
     /// The pilot's mode after the last tick.
     pub const fn mode(&self) -> Mode {
-        self.host.mode()
+        self.controller().pilot.mode()
     }
 
     /// Sends a request to the pilot, for the next tick.
@@ -240,12 +246,25 @@ impl VirtualDrive {
     ///
     /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
-        self.host.request(request)
+        self.host
+            .parts
+            .requests
+            .push(ControlRequest::Pilot(request))
+    }
+
+    /// Tells the pilot what is learned, with the next tick.
+    ///
+    /// # Errors
+    ///
+    /// As [`request`](Self::request).
+    pub fn learned(&self, learned: Learned) -> Result<(), Stalled> {
+        let request = ControlRequest::Learned(learned);
+        self.host.parts.requests.push(request)
     }
 
     /// Gives an external reference its newest set-point.
     pub fn send_setpoint(&self, setpoint: &Setpoint) {
-        self.host.parts().setpoints.send(setpoint);
+        self.host.parts.setpoints.send(setpoint);
     }
 
     /// Changes the configuration at the next tick. Returns its number.
@@ -254,10 +273,12 @@ impl VirtualDrive {
     ///
     /// The reason why the configuration in force stays.
     pub fn reconfigure(&mut self, config: Config) -> Result<u32, ChangeError> {
-        self.host.reconfigure(config, u64::MAX)?;
+        let host = &mut self.host.parts;
+        host.configurations
+            .begin(config, u64::MAX, &host.requests)?;
         loop {
             self.step();
-            if let Some(outcome) = self.host.settle() {
+            if let Some(outcome) = self.host.parts.configurations.settle() {
                 let number = outcome?;
                 self.keep_configuration(number);
                 return Ok(number);
@@ -267,7 +288,7 @@ impl VirtualDrive {
 
     /// When the next tick is due, in µs of the simulation, rounded up. A frame may make it sooner.
     pub const fn next_tick_us(&self) -> u64 {
-        self.host.next_tick_ns().div_ceil(1_000)
+        self.host.due_ns.div_ceil(1_000)
     }
 
     /// The present time of the simulation, in µs.
@@ -301,7 +322,12 @@ impl VirtualDrive {
             let now_ns = self.host_us * 1_000;
             let truth = self.world.truth();
             if self.knows_the_truth {
-                self.host.assume(perfect_estimate(&truth, now_ns));
+                self.host
+                    .parts
+                    .control
+                    .controller
+                    .pilot
+                    .assume(perfect_estimate(&truth, now_ns));
             }
             self.host.tick(now_ns);
             self.write();
@@ -331,7 +357,7 @@ impl VirtualDrive {
         &mut self,
         on_tick: &mut impl FnMut(&VirtualTick),
     ) -> Result<VirtualTick, VirtualDriveError> {
-        let reference = &self.host.parts().configurations.in_force().reference;
+        let reference = &self.host.parts.configurations.in_force.reference;
         let is_external = matches!(reference, ReferenceSection::External { .. });
         let mut armed = false;
         while self.next_tick_us() < (READY_TIMEOUT * 1e6) as u64 {
@@ -356,7 +382,7 @@ impl VirtualDrive {
     pub(crate) fn not_started(&self) -> VirtualDriveError {
         VirtualDriveError::NotStarted {
             mode: self.mode(),
-            reason: self.host.controller().pilot().reason(),
+            reason: self.controller().pilot.reason(),
             seconds: READY_TIMEOUT,
         }
     }
@@ -365,10 +391,10 @@ impl VirtualDrive {
     fn exchange(&mut self) {
         let now_ns = self.host_us * 1_000;
         self.world.host_read(&mut self.port.received);
-        if !self.port.received.is_empty() || !self.host.awaits_bytes() {
+        if !self.port.received.is_empty() || !self.host.serial_wait.readable {
             self.host.poll_serial(now_ns, &mut self.port);
         }
-        if self.world.has_datagrams() || self.host.cameras_due_ns() <= now_ns {
+        if self.world.has_datagrams() || self.host.cameras_due_ns <= now_ns {
             self.host
                 .poll_cameras(now_ns, &mut SimulatedSockets(&mut self.world), &mut |_| {});
         }
@@ -402,7 +428,7 @@ impl VirtualDrive {
     }
 
     fn keep_configuration(&mut self, number: u32) {
-        let in_force = self.host.parts().configurations.in_force();
+        let in_force = &self.host.parts.configurations.in_force;
         if let Some(kept) = &mut self.entries
             && let Ok(toml) = in_force.to_toml()
         {

@@ -127,7 +127,7 @@ fn a_car_is_not_armed_without_one_that_it_expects() {
         .request(PilotRequest::Arm(Arming::Unattended))
         .unwrap();
     advance(&mut fleet, 0.5);
-    let pilot = fleet.cars[0].host().controller().pilot();
+    let pilot = &fleet.cars[0].controller().pilot;
     assert_eq!(
         (pilot.mode(), pilot.reason()),
         (Mode::Idle, Some(Reason::NeighbourUnknown))

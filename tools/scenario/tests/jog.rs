@@ -59,7 +59,7 @@ const fn pulses(servo_us: u16, esc_us: u16) -> Jog {
 /// Gives these pulses at every tick, for so long.
 fn hold(drive: &mut VirtualDrive, jog: Jog, ms: u64) {
     for _ in 0..ms / 10 {
-        drive.host().parts().jogs.send(jog);
+        drive.host().parts.jogs.send(jog);
         drive.step();
     }
 }
@@ -91,7 +91,7 @@ fn turning() -> VirtualDrive {
 }
 
 fn reason(drive: &VirtualDrive) -> Option<Reason> {
-    drive.host().controller().pilot().reason()
+    drive.controller().pilot.reason()
 }
 
 #[test]
@@ -254,7 +254,7 @@ fn wheels_above_1_m_s_end_it() {
     start_jogging(&mut drive);
     let mut fastest: f64 = 0.0;
     for _ in 0..300 {
-        drive.host().parts().jogs.send(pulses(STRAIGHT_US, 1_650));
+        drive.host().parts.jogs.send(pulses(STRAIGHT_US, 1_650));
         fastest = fastest.max(drive.step().truth.wheel_speed);
     }
     assert_eq!(board(&drive), (BoardMode::Failsafe, StopCause::JogTooFast));
@@ -294,7 +294,7 @@ fn it_needs_neither_cameras_nor_imu_nor_a_place_in_the_fence() {
     start_jogging(&mut drive);
     hold(&mut drive, pulses(1_400, 1_560), 500);
     assert_eq!(drive.mode(), Mode::Jogging);
-    assert!(drive.host().controller().pilot().mode().commands());
+    assert!(drive.controller().pilot.mode().commands());
 }
 
 #[test]
@@ -401,7 +401,7 @@ impl Hand {
             }
         }
         if let Some(jog) = self.gives {
-            self.drive.host().parts().jogs.send(jog);
+            self.drive.host().parts.jogs.send(jog);
             self.given_us = Some(now_us);
         }
         if self.random.below(400) == 0 {

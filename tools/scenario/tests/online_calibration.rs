@@ -146,14 +146,14 @@ impl LiveDrive {
         while self.drive.now_us() < end_us && self.last.mode == Mode::Driving {
             let tick = self.drive.step().tick;
             if let Some(learned) = self.calibration.tick(&tick) {
-                self.drive.host().learned(learned).unwrap();
+                self.drive.learned(learned).unwrap();
             }
             self.last = tick.output;
         }
     }
 
     fn learned(&self) -> Learned {
-        self.drive.host().controller().pilot().learned().unwrap()
+        self.drive.controller().pilot.learned().unwrap()
     }
 }
 
@@ -221,9 +221,9 @@ fn a_horn_that_slips_is_told_from_slow_learning() {
         (before.steering_trim - 25.0 / 800.0).abs() < 0.002,
         "{before:?}"
     );
-    assert_eq!(live.calibration.steering_change(), None);
+    assert_eq!(live.calibration.errors.steering_change, None);
     live.drive_on(20.0);
-    let change = live.calibration.steering_change().unwrap();
+    let change = live.calibration.errors.steering_change.unwrap();
     assert!((change - 0.05).abs() < 0.015, "{change}");
     let frozen = live.learned();
     assert!(

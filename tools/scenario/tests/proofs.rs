@@ -88,7 +88,7 @@ fn run(mut drive: VirtualDrive) -> Outcome {
         }
         last = tick;
     }
-    outcome.proof = drive.host().controller().proof().unwrap();
+    outcome.proof = drive.controller().proof().unwrap();
     outcome.entries = drive.entries();
     outcome.told = ticks(&outcome)
         .flat_map(|tick| tick.events.iter())

@@ -130,7 +130,7 @@ fn a_drive_ends_within_1300_ms_when_poses_become_too_rare() {
     }
     assert!(drive.now_us() > FROM_US + 1_000_000);
     assert_eq!(
-        drive.host().controller().pilot().reason(),
+        drive.controller().pilot.reason(),
         Some(Reason::PosesTooRare)
     );
 }
@@ -142,7 +142,7 @@ fn a_car_that_is_seen_in_every_tenth_frame_drives_on() {
     drive.start().unwrap();
     while drive.now_us() < FROM_US + 5_000_000 {
         drive.step();
-        let reason = drive.host().controller().pilot().reason();
+        let reason = drive.controller().pilot.reason();
         assert_eq!(drive.mode(), Mode::Driving, "{reason:?}");
     }
 }

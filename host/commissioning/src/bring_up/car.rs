@@ -5,7 +5,7 @@ use singletrack_control::Time;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
 use crate::{
-    Attendance, Bench, BoardReading, Jog, Live, Observation, PoseReading, Refused, Trouble,
+    Attendance, Bench, BoardReading, Jog, Observation, PoseReading, Refused, Trouble,
     finding::{failed, require},
 };
 
@@ -49,8 +49,8 @@ pub(super) struct Car<'a> {
 }
 
 impl<'a> Car<'a> {
-    /// Waits until the place of the car and the board's telemetry are known.
-    pub(super) fn look(bench: &'a mut dyn Bench) -> Result<Self, Trouble> {
+    /// Lets the first tick pass: nothing is known yet.
+    fn begin(bench: &'a mut dyn Bench) -> Result<Self, Trouble> {
         let mut car = Self {
             bench,
             observed: Vec::new(),
@@ -64,6 +64,12 @@ impl<'a> Car<'a> {
             linked: true,
         };
         car.tick()?;
+        Ok(car)
+    }
+
+    /// Waits until the place of the car and the board's telemetry are known.
+    pub(super) fn look(bench: &'a mut dyn Bench) -> Result<Self, Trouble> {
+        let mut car = Self::begin(bench)?;
         let is_unknown = |car: &Self| car.board.is_none() || !car.place.is_known();
         car.wait_while(10.0, is_unknown, |car| match car.board {
             None => failed(
@@ -76,6 +82,18 @@ impl<'a> Car<'a> {
             ),
         })?;
         Ok(car)
+    }
+
+    /// Waits until the board sends telemetry again, 15 s at most.
+    pub(super) fn wait_for_board(bench: &'a mut dyn Bench) -> Result<(), Trouble> {
+        Self::begin(bench)?.wait_while(
+            15.0,
+            |car| car.board.is_none(),
+            |_| {
+                let found = "the board does not come back";
+                failed(found, "Check the serial line with `singletrack doctor`.")
+            },
+        )
     }
 
     /// Waits while something holds; fails if it holds for too long.
@@ -116,7 +134,7 @@ impl<'a> Car<'a> {
                 }
                 Observation::Health(health) => {
                     self.status = Some(health.status);
-                    health.receive
+                    Time(health.receive_time_ns)
                 }
                 Observation::Pose(pose) => {
                     self.place.see(pose);
@@ -170,7 +188,7 @@ impl<'a> Car<'a> {
             ),
             None => what.into(),
         };
-        self.bench.show(&Live { text: &text, done });
+        self.bench.show(&text, done);
     }
 
     /// The pulses at rest: the servo as it stands, the ESC at its configured neutral.
@@ -369,33 +387,6 @@ impl<'a> Car<'a> {
         let now = self.now()?;
         let heard = self.board.map_or(now, |board| board.receive);
         Ok(!self.linked || now.seconds_since(heard) >= seconds)
-    }
-
-    /// Waits until the board sends telemetry again, 15 s at most.
-    pub(super) fn wait_for_board(bench: &mut dyn Bench) -> Result<(), Trouble> {
-        let lost = || {
-            let found = "the board does not come back";
-            failed(found, "Check the serial line with `singletrack doctor`.")
-        };
-        let mut first = None;
-        let mut observed = Vec::new();
-        for _ in 0..SILENT_WAITS {
-            observed.clear();
-            bench.wait(&mut observed)?;
-            for observation in &observed {
-                match observation {
-                    Observation::Board(_) => return Ok(()),
-                    Observation::Tick(tick) => {
-                        let first = *first.get_or_insert(tick.time);
-                        if tick.time.seconds_since(first) > 15.0 {
-                            return Err(lost());
-                        }
-                    }
-                    _ => {}
-                }
-            }
-        }
-        Err(lost())
     }
 
     /// Waits until the motor's pulses have ceased.

@@ -279,9 +279,9 @@ const fn turned(turned: bool) -> &'static str {
 }
 
 /// Whether the first and the second pulse below neutral turn wheels at rest.
-fn at_rest(car: &mut Car<'_>, below_us: u16) -> Result<[bool; 2], Trouble> {
+fn at_rest(car: &mut Car<'_>, esc_us: u16) -> Result<[bool; 2], Trouble> {
     let rest = car.rest();
-    let below = rest.with_esc(below_us);
+    let below = Jog { esc_us, ..rest };
     car.hold_until_standing(rest, 1.0)?;
     let mut at_rest = [false; 2];
     for turned in &mut at_rest {
@@ -293,9 +293,9 @@ fn at_rest(car: &mut Car<'_>, below_us: u16) -> Result<[bool; 2], Trouble> {
 }
 
 /// What a pulse below neutral does to wheels that turn.
-fn at_speed(car: &mut Car<'_>, at_rest: [bool; 2], brake_us: u16) -> Result<Seen, Trouble> {
+fn at_speed(car: &mut Car<'_>, at_rest: [bool; 2], esc_us: u16) -> Result<Seen, Trouble> {
     let rest = car.rest();
-    let brake = rest.with_esc(brake_us);
+    let brake = Jog { esc_us, ..rest };
     let mut seen = Seen {
         at_rest,
         turned_round: false,

@@ -317,7 +317,8 @@ fn settled(
         car.hold_until_standing(rest, 0.8)?;
         *since = car.now()?;
     }
-    let jog = rest.with_esc(beyond(rest.esc_us, offset_us, forward));
+    let esc_us = beyond(rest.esc_us, offset_us, forward);
+    let jog = Jog { esc_us, ..rest };
     car.hold(jog, SETTLE_S, "settling")?;
     Ok(mean_speed(&car.hold(jog, MEASURE_S, "measuring")?))
 }
@@ -408,10 +409,12 @@ fn slows_down(
 ) -> Result<Option<Slowing>, Trouble> {
     let rest = car.rest();
     car.hold_until_standing(rest, 0.8)?;
-    let drive = rest.with_esc(beyond(rest.esc_us, ahead_us, true));
+    let esc_us = beyond(rest.esc_us, ahead_us, true);
+    let drive = Jog { esc_us, ..rest };
     let readings = car.hold(drive, 1.2, "turning")?;
     let speed = mean_speed(&readings[readings.len() / 2..]);
-    let slow = rest.with_esc(beyond(rest.esc_us, offset_us, false));
+    let esc_us = beyond(rest.esc_us, offset_us, false);
+    let slow = Jog { esc_us, ..rest };
     // Wheels that stand at once must not look like a dead sensor to the board.
     let mut all = car.hold(slow, 0.5, "slowing down")?;
     if all.last().is_some_and(BoardReading::turns) {

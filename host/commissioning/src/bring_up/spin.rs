@@ -99,7 +99,8 @@ impl Car<'_> {
             // The board forgets the burst before after 0.6 s, and a car's ESC takes a second
             // pulse below neutral for reverse.
             self.hold_until_standing(rest, 0.7)?;
-            let jog = rest.with_esc(beyond(rest.esc_us, offset_us, forward));
+            let esc_us = beyond(rest.esc_us, offset_us, forward);
+            let jog = Jog { esc_us, ..rest };
             let what = "looking for the first turn";
             let readings = self.hold_until(jog, 0.5, what, BoardReading::turns)?;
             if readings.iter().any(BoardReading::turns) {

@@ -66,7 +66,8 @@ fn turn(car: &mut Car<'_>, pulse_us: u16, us_per_s: f64) -> Result<(), Trouble> 
     loop {
         let part = car.now()?.seconds_since(begin) * us_per_s / way.abs().max(1.0);
         let arrived = part >= 1.0;
-        let jog = rest.with_servo((from + way * part.min(1.0)).round() as u16);
+        let servo_us = (from + way * part.min(1.0)).round() as u16;
+        let jog = Jog { servo_us, ..rest };
         // At its end the servo needs a moment.
         let seconds = if arrived { 0.4 } else { 0.03 };
         let readings = car.hold_until(jog, seconds, "steering", BoardReading::turns)?;
@@ -81,9 +82,9 @@ fn turn(car: &mut Car<'_>, pulse_us: u16, us_per_s: f64) -> Result<(), Trouble> 
 
 /// The motor turns with the servo's pulse: back to where it stood still, and no farther.
 fn swapped(car: &mut Car<'_>, jog: Jog) -> Trouble {
-    let centre_us = car.bench().configuration().board.servo.centre_us;
+    let servo_us = car.bench().configuration().board.servo.centre_us;
     // The trouble below is reported, not the end of this jog.
-    let _ = car.hold(jog.with_servo(centre_us), 2.0, "back to the centre");
+    let _ = car.hold(Jog { servo_us, ..jog }, 2.0, "back to the centre");
     let found = format!(
         "the motor turned while the servo's pulse was {} us and the ESC at neutral",
         jog.servo_us

@@ -6,7 +6,7 @@ use singletrack_pilot::{Fence, Mode};
 use singletrack_protocol::BoardMode;
 
 use crate::{
-    Answer, Attendance, Bench, Interrupted, Live, Observation, Question, TickReading, Trouble,
+    Answer, Attendance, Bench, Interrupted, Observation, Question, TickReading, Trouble,
     finding::{change, failed, require, stopped},
     fit::Track,
 };
@@ -412,11 +412,7 @@ pub(super) fn drive(
             last_ns = Some(tick.time.0);
             drive.progress.push((tick.time.0, now));
         }
-        let live = Live {
-            text,
-            done: (now / seconds).clamp(0.0, 1.0),
-        };
-        bench.show(&live);
+        bench.show(text, (now / seconds).clamp(0.0, 1.0));
     }
     stop(bench, &mut drive)?;
     Ok(drive)

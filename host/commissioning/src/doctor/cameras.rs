@@ -379,12 +379,13 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         ),
         Ok(judgement) => {
             for finding in &judgement.findings {
-                let (key, value) = (finding.key, &finding.value);
+                let what = &finding.what;
+                let (key, value) = (what.key, &what.value);
                 let found = match finding.severity {
                     Severity::Warning => format!("{key} is {value}"),
                     Severity::Impossible => format!("{key} is {value}: it can't be driven"),
                 };
-                checks.add(Warning, found, "", format!("{key}: {}", finding.fix));
+                checks.add(Warning, found, "", format!("{key}: {}", what.fix));
             }
             if judgement.is_possible() {
                 checks.good("the reference can be driven", "inside limits and geofence");

@@ -3,17 +3,18 @@
 
 use singletrack_control::{Time, wrap};
 use singletrack_protocol::{BoardMode, Status, StopCause};
+use singletrack_record::StatusRecord;
 
 use crate::{
-    Answer, Bench, BoardReading, Finding, Health, Inertial, Interrupted, Live, Observation,
-    Parameter, PoseReading, Question, Refused, TickReading, Trouble, Verdict, finding::keys,
+    Answer, Bench, BoardReading, Finding, Inertial, Interrupted, Observation, Parameter,
+    PoseReading, Question, Refused, TickReading, Trouble, Verdict, finding::keys,
 };
 
 /// Observations of a time, each kind in the order of its arrival.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Readings {
     pub(super) boards: Vec<BoardReading>,
-    pub(super) health: Vec<Health>,
+    pub(super) health: Vec<StatusRecord>,
     pub(super) poses: Vec<PoseReading>,
     /// The states of frames without a pose.
     pub(super) lost: Vec<&'static str>,
@@ -162,7 +163,7 @@ pub(super) fn until(
         bench.wait(&mut observed)?;
         readings.take(&mut observed);
         let (text, done) = progress(&readings);
-        bench.show(&Live { text: &text, done });
+        bench.show(&text, done);
         if done >= 1.0 {
             return Ok((readings, true));
         }

@@ -9,7 +9,7 @@ use crate::{
     Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine,
     PoseReading, Trouble,
     Verdict::{Failed, Warning},
-    fit::{FloorPose, Rolled, mean, mean_interval, rolled, turned_about},
+    fit::{Rolled, mean, mean_interval, rolled, turned_about},
 };
 
 /// Turns to each side, and rolls.
@@ -87,8 +87,8 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
             let text = format!("{:+.0} degrees", angle.to_degrees());
             (text, angle.abs() / ENOUGH_RAD)
         })?;
-        let poses = floor(&readings.poses);
-        let found = turned_about(&poses).filter(|_| is_done);
+        let poses = &readings.poses;
+        let found = turned_about(poses).filter(|_| is_done);
         let Some((origin, _)) = found.filter(|(_, wander)| *wander < HELD_M) else {
             let wandered = |(_, by)| format!("the rear axle wandered by {:.0} mm", 1e3 * by);
             let found = found.map_or_else(|| "the car was not turned".to_owned(), wandered);
@@ -146,7 +146,7 @@ fn rolls(
             let way = readings.moved();
             (format!("{way:.2} m"), way / ENOUGH_M)
         })?;
-        let Some(found) = rolled(&floor(&readings.poses), origin).filter(|_| is_done) else {
+        let Some(found) = rolled(&readings.poses, origin).filter(|_| is_done) else {
             let fix = "roll it as asked, and run this step again";
             checks.add(
                 Failed,
@@ -359,7 +359,7 @@ fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Optio
         let (before, after) = (poses.get(after.checked_sub(1)?)?, poses.get(after)?);
         let gap = seconds(before.capture, after.capture);
         let share = seconds(before.capture, time) / gap;
-        let ends = [before, after].map(|pose| floor_pose(pose).place_of(origin));
+        let ends = [before, after].map(|pose| pose.place_of(origin));
         let place = [0, 1].map(|axis| ends[0][axis] + share * (ends[1][axis] - ends[0][axis]));
         (gap < 0.2).then_some((place, before.yaw))
     };
@@ -368,17 +368,4 @@ fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Optio
     // The arc over a chord, of a car that turned by this angle.
     let half = wrap(later - yaw).abs() / 2.0;
     Some(chord * if half > 1e-3 { half / half.sin() } else { 1.0 })
-}
-
-fn floor(poses: &[PoseReading]) -> Vec<FloorPose> {
-    poses.iter().map(floor_pose).collect()
-}
-
-const fn floor_pose(pose: &PoseReading) -> FloorPose {
-    let [x, y, _] = pose.position;
-    FloorPose {
-        x,
-        y,
-        yaw: pose.yaw,
-    }
 }

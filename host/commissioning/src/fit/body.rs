@@ -4,26 +4,16 @@
 use singletrack_control::wrap;
 
 use super::{Motion, Signal};
-use crate::fit::least_squares;
+use crate::{PoseReading, fit::least_squares};
 
-/// A pose of the rigid body on the floor: position in m, and yaw in rad.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FloorPose {
-    /// Position, in m.
-    pub(crate) x: f64,
-    /// Position, in m.
-    pub(crate) y: f64,
-    /// Yaw, in rad.
-    pub(crate) yaw: f64,
-}
-
-impl FloorPose {
-    /// The place of the point from which the body's origin is at `origin`, along the body's axes.
+impl PoseReading {
+    /// The place on the floor, m, of the point from which the body's origin is at `origin`, along
+    /// the body's axes.
     pub(crate) fn place_of(&self, origin: [f64; 2]) -> [f64; 2] {
-        let (sin, cos) = self.yaw.sin_cos();
+        let ([x, y, _], (sin, cos)) = (self.position, self.yaw.sin_cos());
         [
-            self.x - cos * origin[0] + sin * origin[1],
-            self.y - sin * origin[0] - cos * origin[1],
+            x - cos * origin[0] + sin * origin[1],
+            y - sin * origin[0] - cos * origin[1],
         ]
     }
 }
@@ -31,13 +21,10 @@ impl FloorPose {
 /// The body's origin, from the point about which the body was turned, along the axes of the
 /// body, in m. The second value is the root mean square of the wander of that point. None if the
 /// body did not turn.
-pub(crate) fn turned_about(poses: &[FloorPose]) -> Option<([f64; 2], f64)> {
+pub(crate) fn turned_about(poses: &[PoseReading]) -> Option<([f64; 2], f64)> {
     let equations = poses.iter().flat_map(|pose| {
-        let (sin, cos) = pose.yaw.sin_cos();
-        [
-            ([1.0, 0.0, cos, -sin], pose.x),
-            ([0.0, 1.0, sin, cos], pose.y),
-        ]
+        let ([x, y, _], (sin, cos)) = (pose.position, pose.yaw.sin_cos());
+        [([1.0, 0.0, cos, -sin], x), ([0.0, 1.0, sin, cos], y)]
     });
     let fit = least_squares(equations)?;
     let [_, _, forward, left] = fit.parameters;
@@ -60,7 +47,7 @@ pub(crate) struct Rolled {
 ///
 /// The middle of the rear axle moves along the car, also when the front wheels are not straight:
 /// the direction of its movement gives the yaw of the body on the car.
-pub(crate) fn rolled(poses: &[FloorPose], origin: [f64; 2]) -> Option<Rolled> {
+pub(crate) fn rolled(poses: &[PoseReading], origin: [f64; 2]) -> Option<Rolled> {
     /// Shorter movements are noise, in m.
     const SPACING: f64 = 0.05;
     let first = poses.first()?;
@@ -148,6 +135,7 @@ pub(crate) fn body(motion: &Motion, way: &Signal, body_yaw: f64, rear_slip: f64)
 mod tests {
     use core::f64::consts::PI;
 
+    use singletrack_control::Time;
     use singletrack_statistics::Random;
 
     use super::*;
@@ -157,13 +145,24 @@ mod tests {
 
     /// The body of a car whose rear axle is here; the body sits at `ORIGIN` along its own axes,
     /// and is turned by `body_yaw` on the car.
-    fn body(noise: &mut Random, rear: [f64; 2], yaw: f64, body_yaw: f64) -> FloorPose {
+    fn body(noise: &mut Random, rear: [f64; 2], yaw: f64, body_yaw: f64) -> PoseReading {
         let turned = yaw + body_yaw;
         let (sin, cos) = turned.sin_cos();
-        FloorPose {
-            x: rear[0] + cos * ORIGIN[0] - sin * ORIGIN[1] + 0.000_2 * noise.normal(1.0),
-            y: rear[1] + sin * ORIGIN[0] + cos * ORIGIN[1] + 0.000_2 * noise.normal(1.0),
-            yaw: turned + 0.001_7 * noise.normal(1.0),
+        let x = rear[0] + cos * ORIGIN[0] - sin * ORIGIN[1] + 0.000_2 * noise.normal(1.0);
+        let y = rear[1] + sin * ORIGIN[0] + cos * ORIGIN[1] + 0.000_2 * noise.normal(1.0);
+        pose(x, y, turned + 0.001_7 * noise.normal(1.0))
+    }
+
+    const fn pose(x: f64, y: f64, yaw: f64) -> PoseReading {
+        PoseReading {
+            capture: Time(0),
+            receive: Time(0),
+            uncertainty: 0.0,
+            position: [x, y, 0.0],
+            yaw,
+            roll: 0.0,
+            pitch: 0.0,
+            mean_error: 0.0,
         }
     }
 
@@ -231,11 +230,7 @@ mod tests {
 
     #[test]
     fn a_body_that_stands_has_neither_point_nor_direction() {
-        let pose = FloorPose {
-            x: 1.0,
-            y: 2.0,
-            yaw: 0.3,
-        };
+        let pose = pose(1.0, 2.0, 0.3);
         assert_eq!(turned_about(&[pose; 50]), None);
         assert_eq!(rolled(&[pose; 50], [0.0; 2]), None);
         assert_eq!(rolled(&[], [0.0; 2]), None);

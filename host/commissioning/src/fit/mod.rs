@@ -13,7 +13,7 @@ mod statistics;
 mod track;
 pub(crate) mod wheels;
 
-pub(crate) use body::{Body, FloorPose, Rolled, body, rolled, turned_about};
+pub(crate) use body::{Body, Rolled, body, rolled, turned_about};
 pub(crate) use delay::{Reading, sample_times, stamp_delay};
 pub(crate) use drive_train::{DriveTrain, deceleration, drive_train, roll_out};
 pub(crate) use statistics::{

@@ -1,13 +1,14 @@
 //! A small car on a stand, its board and its operator, in virtual time.
 
 use singletrack_commissioning::{
-    Answer, Answers, Attendance, Bench, BoardReading, Health, Interrupted, Jog, Live, Observation,
-    PoseReading, Question, Refused, TickReading, edit::Edit,
+    Answer, Answers, Attendance, Bench, BoardReading, Interrupted, Jog, Observation, PoseReading,
+    Question, Refused, TickReading, edit::Edit,
 };
 use singletrack_control::{Position, Time, Velocity};
 use singletrack_core::Config;
 use singletrack_pilot::Mode;
 use singletrack_protocol::{BoardMode, RefusalReason, ResetCause, Status, StopCause};
+use singletrack_record::StatusRecord;
 use singletrack_statistics::Random;
 
 use crate::{Kind, Truth, numbers};
@@ -481,8 +482,8 @@ impl Bench for MockCar {
                 stop_cause: self.cause,
             }));
             if self.now_us.is_multiple_of(200_000) {
-                observed.push(Observation::Health(Health {
-                    receive: time,
+                observed.push(Observation::Health(StatusRecord {
+                    receive_time_ns: time.0,
                     status: self.status(),
                 }));
             }
@@ -591,8 +592,8 @@ impl Bench for MockCar {
         Ok(answer)
     }
 
-    fn show(&mut self, live: &Live<'_>) {
-        assert!(!live.text.is_empty());
+    fn show(&mut self, text: &str, _: f64) {
+        assert!(!text.is_empty());
     }
 
     fn arm(&mut self, attendance: Attendance) -> Result<(), Refused> {

@@ -174,30 +174,6 @@ pub struct CalibrationConfig {
     pub pulse_distance: f64,
 }
 
-/// Telemetry of the board.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CalibrationSample {
-    /// When it was measured.
-    pub time: Time,
-    /// The sample of the IMU, if there is a new one.
-    pub inertial: Option<InertialSample>,
-    /// Speed of the rear axle from the motor pulses, m/s.
-    pub motor_speed: f64,
-}
-
-/// The inputs of a tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CalibrationTick<'a> {
-    /// The time of the tick.
-    pub time: Time,
-    /// The steering angle commanded, rad; none if the car does not follow a command.
-    pub steering: Option<f64>,
-    /// The poses since the last tick.
-    pub poses: &'a [PoseSample],
-    /// The telemetry since the last tick.
-    pub samples: &'a [CalibrationSample],
-}
-
 /// Estimates the errors of a calibration while the car drives.
 ///
 /// It does not change the car. Its memory is the last six minutes that count.
@@ -226,7 +202,10 @@ pub struct Calibration {
     along_fit: Regression<4>,
     /// Blocks in a row that contradict those before.
     odd: u32,
-    steering_change: Option<f64>,
+    /// The sudden change of the steering while the car drove, as a change of the trim,
+    /// rad: a horn has slipped, a servo is stuck. `None` if it has not. What was known of the
+    /// steering before is forgotten.
+    pub steering_change: Option<f64>,
 }
 
 impl Calibration {
@@ -258,13 +237,6 @@ impl Calibration {
     /// changed.
     pub const fn doubts_steering(&self) -> bool {
         self.odd > 0 || self.steering_change.is_some()
-    }
-
-    /// The sudden change of the steering while the car drove, as a change of the trim,
-    /// rad: a horn has slipped, a servo is stuck. `None` if it has not. What was known of the
-    /// steering before is forgotten.
-    pub const fn steering_change(&self) -> Option<f64> {
-        self.steering_change
     }
 
     /// A block of the drive ends: compares it with those before.
@@ -299,28 +271,36 @@ impl Calibration {
         }
     }
 
-    /// Takes the inputs of a tick.
-    pub fn tick(&mut self, tick: &CalibrationTick<'_>) {
-        let origin = *self.origin.get_or_insert(tick.time);
-        let now = tick.time.seconds_since(origin);
-        self.close_until(now);
-        for pose in tick.poses {
-            self.take_pose(pose.capture.seconds_since(origin), pose);
+    /// A tick begins at `now`, before its poses and its telemetry.
+    pub fn begin_tick(&mut self, now: Time) {
+        self.origin.get_or_insert(now);
+        self.close_until(self.seconds(now));
+    }
+
+    fn seconds(&self, time: Time) -> f64 {
+        self.origin.map_or(0.0, |origin| time.seconds_since(origin))
+    }
+
+    /// Takes telemetry of the board: the speed of the rear axle from the motor pulses (m/s), and
+    /// the sample of the IMU if there is a new one.
+    pub fn board(&mut self, time: Time, inertial: Option<InertialSample>, motor_speed: f64) {
+        self.speed = motor_speed;
+        let time = self.seconds(time);
+        self.motor.take(self.first, time, [motor_speed]);
+        if let Some(inertial) = inertial {
+            let time = self.seconds(inertial.time);
+            self.gyro.take(self.first_long, time, [inertial.yaw_rate]);
         }
-        for sample in tick.samples {
-            self.speed = sample.motor_speed;
-            let time = sample.time.seconds_since(origin);
-            self.motor.take(self.first, time, [sample.motor_speed]);
-            if let Some(inertial) = &sample.inertial {
-                let time = inertial.time.seconds_since(origin);
-                self.gyro.take(self.first_long, time, [inertial.yaw_rate]);
-            }
-        }
-        if let Some(steering) = tick.steering {
-            self.predictor.advance(tick.time, self.speed);
+    }
+
+    /// A tick ends with this steering angle commanded, rad; none if the car does not follow a
+    /// command.
+    pub fn end_tick(&mut self, now: Time, steering: Option<f64>) {
+        if let Some(steering) = steering {
+            self.predictor.advance(now, self.speed);
             let moved = self.speed * self.predictor.wheels();
-            self.predictor.commanded(tick.time, steering);
-            self.wheels.take(self.first, now, [moved]);
+            self.predictor.commanded(now, steering);
+            self.wheels.take(self.first, self.seconds(now), [moved]);
         } else {
             self.predictor.reset(0.0);
             self.wheels.interrupt();
@@ -329,42 +309,32 @@ impl Calibration {
 
     /// The estimates, in the order of their numbers.
     pub fn estimates(&self) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
+        use CalibrationParameter as Parameter;
+        let (gyro, steering) = (self.gyro_fit.fit(None), self.steering_fit.fit(None));
         let across = self.across_fit.fit(None);
         let body_yaw = across.as_ref().map_or(0.0, |fit| fit.values[1]);
-        estimates(
-            self.gyro_fit.fit(None).as_ref(),
-            self.steering_fit.fit(None).as_ref(),
+        let along = self.along_fit.fit(Some((3, body_yaw)));
+        let (gyro, steering, across, along) = (
+            gyro.as_ref(),
+            steering.as_ref(),
             across.as_ref(),
-            self.along_fit.fit(Some((3, body_yaw))).as_ref(),
-        )
-    }
-
-    /// The least standard deviation of each estimate (Cramér and Rao) from this drive of a
-    /// calibrated car, in the order of their numbers; `None` for what it does not show. `free` has
-    /// taken the same drive without the noise of the sensors. The windows count as independent,
-    /// and what the model is wrong by is left out, but for the delays of the stamps' offset.
-    pub fn bounds(&self, free: &Self) -> [Option<f64>; CalibrationParameter::ALL.len()] {
-        let estimates = estimates(
-            self.gyro_fit.bound(&free.gyro_fit, None).as_ref(),
-            self.steering_fit.bound(&free.steering_fit, None).as_ref(),
-            self.across_fit.bound(&free.across_fit, None).as_ref(),
-            self.along_fit
-                .bound(&free.along_fit, Some((3, 0.0)))
-                .as_ref(),
+            along.as_ref(),
         );
-        estimates.map(|estimate| {
-            let CalibrationEstimate {
-                parameter,
-                half_width,
-                ..
-            } = estimate;
-            let systematic = parameter.bounds().systematic;
-            let random = half_width * half_width - systematic * systematic;
-            estimate.observable.then(|| 0.5 * sqrt(random.max(0.0)))
+        Parameter::ALL.map(|parameter| match parameter {
+            Parameter::SteeringGain => estimate(parameter, steering, 0),
+            Parameter::SteeringTrim => estimate(parameter, steering, 1),
+            Parameter::GyroScale => estimate(parameter, gyro, 0),
+            Parameter::StampOffset => stamps(gyro, steering, along),
+            Parameter::PivotForward => estimate(parameter, across, 0),
+            Parameter::BodyYaw => estimate(parameter, across, 1),
+            Parameter::PulseDistance => estimate(parameter, along, 0),
+            Parameter::PivotLeft => estimate(parameter, along, 1),
         })
     }
 
-    fn take_pose(&mut self, time: f64, pose: &PoseSample) {
+    /// Takes a pose that came since the last tick.
+    pub fn pose(&mut self, pose: &PoseSample) {
+        let time = self.seconds(pose.capture);
         let yaw = pose.yaw - self.config.marker_yaw;
         let last = self.pose.replace((time, pose.position, yaw));
         let Some((then, position, yaw_then)) = last else {
@@ -562,25 +532,6 @@ fn stamps(
         half_width,
         observable: half_width <= bounds.widest,
     }
-}
-
-/// What the fits say.
-fn estimates(
-    gyro: Option<&Fit<4>>,
-    steering: Option<&Fit<3>>,
-    across: Option<&Fit<2>>,
-    along: Option<&Fit<4>>,
-) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
-    CalibrationParameter::ALL.map(|parameter| match parameter {
-        CalibrationParameter::SteeringGain => estimate(parameter, steering, 0),
-        CalibrationParameter::SteeringTrim => estimate(parameter, steering, 1),
-        CalibrationParameter::GyroScale => estimate(parameter, gyro, 0),
-        CalibrationParameter::StampOffset => stamps(gyro, steering, along),
-        CalibrationParameter::PivotForward => estimate(parameter, across, 0),
-        CalibrationParameter::BodyYaw => estimate(parameter, across, 1),
-        CalibrationParameter::PulseDistance => estimate(parameter, along, 0),
-        CalibrationParameter::PivotLeft => estimate(parameter, along, 1),
-    })
 }
 
 /// What a fit says of a parameter.

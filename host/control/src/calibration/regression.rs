@@ -18,8 +18,6 @@ const LEAST_EQUATIONS: u32 = 3;
 struct Block<const N: usize> {
     matrix: SMatrix<f64, N, N>,
     right: SVector<f64, N>,
-    /// Sum of the squared values.
-    squares: f64,
     count: u32,
 }
 
@@ -28,7 +26,6 @@ impl<const N: usize> Block<N> {
         Self {
             matrix: SMatrix::zeros(),
             right: SVector::zeros(),
-            squares: 0.0,
             count: 0,
         }
     }
@@ -36,7 +33,6 @@ impl<const N: usize> Block<N> {
     fn add(&mut self, other: &Self) {
         self.matrix += other.matrix;
         self.right += other.right;
-        self.squares += other.squares;
         self.count += other.count;
     }
 
@@ -44,8 +40,6 @@ impl<const N: usize> Block<N> {
     fn holding(&self, held: Option<(usize, f64)>) -> Self {
         let mut block = *self;
         if let Some((index, value)) = held {
-            block.squares +=
-                value * (value * self.matrix[(index, index)] - 2.0 * self.right[index]);
             block.right -= value * self.matrix.column(index);
             block.right[index] = 0.0;
             block.matrix.row_mut(index).fill(0.0);
@@ -87,11 +81,9 @@ impl<const N: usize> Regression<N> {
 
     /// Adds the equation `regressors` · parameters = `value`.
     pub(super) fn add(&mut self, regressors: SVector<f64, N>, value: f64) {
-        let [finite, positive] = [value.is_finite(), regressors.iter().all(|x| x.is_finite())];
-        if finite && positive {
+        if value.is_finite() && regressors.iter().all(|x| x.is_finite()) {
             self.open.matrix += regressors * regressors.transpose();
             self.open.right += value * regressors;
-            self.open.squares += value * value;
             self.open.count += 1;
         }
     }
@@ -99,14 +91,9 @@ impl<const N: usize> Regression<N> {
     /// How the equations of the open block contradict these parameters, as a change of the
     /// one at `index`; `None` if they are too few.
     pub(super) fn contradiction(&self, index: usize, values: &SVector<f64, N>) -> Option<f64> {
-        let Block {
-            matrix,
-            right,
-            count,
-            ..
-        } = &self.open;
-        let rest = right - matrix * values;
-        (*count >= LEAST_EQUATIONS).then(|| rest[index] / matrix[(index, index)])
+        let open = &self.open;
+        let rest = open.right - open.matrix * values;
+        (open.count >= LEAST_EQUATIONS).then(|| rest[index] / open.matrix[(index, index)])
     }
 
     /// Forgets the blocks, but not the open one.
@@ -139,7 +126,14 @@ impl<const N: usize> Regression<N> {
         if count < LEAST_BLOCKS {
             return None;
         }
-        let whole = whole(&self.blocks, held);
+        let mut whole = Block::new();
+        for block in &self.blocks {
+            whole.add(&block.holding(held));
+        }
+        if let Some((index, value)) = held {
+            whole.matrix[(index, index)] = 1.0;
+            whole.right[index] = value;
+        }
         let inverse = whole.matrix.cholesky()?.inverse();
         let values = inverse * whole.right;
         let mut squares = SVector::<f64, N>::zeros();
@@ -161,45 +155,6 @@ impl<const N: usize> Regression<N> {
             excitation,
         })
     }
-
-    /// The bound of Cramér and Rao from the equations of a drive, the open block's too, with the
-    /// value of at most one parameter given: the half widths of a fit without an error. The
-    /// regressors are those of the same drive without noise, `free`. The variance of the noise is
-    /// that of these residuals beyond those of `free`, which are the model's own errors. `None` if
-    /// there is no noise, or with regressors that depend on each other.
-    pub(super) fn bound(&self, free: &Self, held: Option<(usize, f64)>) -> Option<Fit<N>> {
-        let residual = |of: &Self| {
-            let whole = whole(of.blocks.iter().chain([&of.open]), held);
-            let inverse = whole.matrix.cholesky()?.inverse();
-            let rest = whole.squares - whole.right.dot(&(inverse * whole.right));
-            let freedom = f64::from(whole.count) - N as f64;
-            (freedom > 0.0).then(|| (rest / freedom, inverse.diagonal(), whole.count))
-        };
-        let (noisy, ..) = residual(self)?;
-        let (model, inverse, count) = residual(free)?;
-        let variance = noisy - model;
-        (variance > 0.0).then(|| Fit {
-            values: SVector::zeros(),
-            half_widths: inverse.map(|it| 2.0 * sqrt(variance * it)),
-            excitation: inverse.map(|it| sqrt(1.0 / (f64::from(count) * it))),
-        })
-    }
-}
-
-/// The sum of blocks, with the value of at most one parameter given.
-fn whole<'a, const N: usize>(
-    blocks: impl IntoIterator<Item = &'a Block<N>>,
-    held: Option<(usize, f64)>,
-) -> Block<N> {
-    let mut whole = Block::new();
-    for block in blocks {
-        whole.add(&block.holding(held));
-    }
-    if let Some((index, value)) = held {
-        whole.matrix[(index, index)] = 1.0;
-        whole.right[index] = value;
-    }
-    whole
 }
 
 /// 97.5 % quantiles of Student's distribution, by degrees of freedom, from one.

@@ -213,7 +213,8 @@ pub struct Estimator {
     samples: Deque<Sample, SAMPLES>,
     /// The sample that holds at the filter's time.
     current: Option<Sample>,
-    implausible_in_a_row: u32,
+    /// The number of implausible poses in a row.
+    pub implausible_in_a_row: u32,
 }
 
 /// The estimate since its first pose.
@@ -261,11 +262,6 @@ impl Estimator {
     pub fn reset(&mut self) {
         self.track = None;
         self.implausible_in_a_row = 0;
-    }
-
-    /// The number of implausible poses in a row.
-    pub const fn implausible_in_a_row(&self) -> u32 {
-        self.implausible_in_a_row
     }
 
     /// The number of poses accepted since the estimate started.

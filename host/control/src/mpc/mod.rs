@@ -62,22 +62,12 @@ pub struct MpcConfig {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MpcError {
-    /// The value must be finite and above zero.
-    #[error("{name} is {value}: it must be finite and above zero")]
-    NotPositive {
-        /// The value's name.
-        name: &'static str,
-        /// The value.
-        value: f64,
-    },
-    /// The value must be between 0 and 1.
-    #[error("{name} is {value}: it must be between 0 and 1")]
-    NotAShare {
-        /// The value's name.
-        name: &'static str,
-        /// The value.
-        value: f64,
-    },
+    /// A value, by its name, must be finite and above zero.
+    #[error("{0} is {1}: it must be finite and above zero")]
+    NotPositive(&'static str, f64),
+    /// A value, by its name, must be between 0 and 1.
+    #[error("{0} is {1}: it must be between 0 and 1")]
+    NotAShare(&'static str, f64),
     /// The delay is longer than the memory of past commands.
     #[error("a delay of {0} ticks is longer than {MAX_DELAY_TICKS}")]
     Delay(usize),
@@ -200,21 +190,20 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
             ("lag", config.lag + 1.0),
             ("velocity_weight", config.velocity_weight + 1.0),
         ];
-        for (name, value) in numbers {
-            let least = if matches!(name, "lag" | "velocity_weight") {
+        let least = |name| {
+            if matches!(name, "lag" | "velocity_weight") {
                 1.0
             } else {
                 f64::MIN_POSITIVE
-            };
-            if !(value.is_finite() && value >= least) {
-                return Err(MpcError::NotPositive { name, value });
             }
+        };
+        let is_wrong = |&(name, value): &(_, f64)| !(value.is_finite() && value >= least(name));
+        if let Some((name, value)) = numbers.into_iter().find(is_wrong) {
+            return Err(MpcError::NotPositive(name, value));
         }
-        if !(0.0..=1.0).contains(&config.disturbance_gain) {
-            return Err(MpcError::NotAShare {
-                name: "disturbance_gain",
-                value: config.disturbance_gain,
-            });
+        let gain = config.disturbance_gain;
+        if !(0.0..=1.0).contains(&gain) {
+            return Err(MpcError::NotAShare("disturbance_gain", gain));
         }
         let config = MpcConfig {
             max_deceleration: config.max_deceleration.min(config.max_acceleration),
@@ -336,7 +325,8 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
     /// disturbance, which may be over soon, and without.
     fn stops_inside(&self, here: &Position, first: &Velocity) -> bool {
         let drift = out_of_frame(&self.state.forward, &self.state.disturbance);
-        [drift, Velocity::zeros()]
+        let drifts = [drift, Velocity::zeros()];
+        drifts
             .iter()
             .all(|drift| self.stops_inside_with(here, first, drift))
     }
@@ -499,28 +489,21 @@ impl DelayedMpc {
         .map(Self::Late)
     }
 
-    /// What the last tick came to.
-    pub const fn verdict(&self) -> MpcVerdict {
+    fn tracking(&mut self) -> &mut dyn OuterLoop {
         match self {
-            Self::Prompt(tracking) => tracking.verdict(),
-            Self::Late(tracking) => tracking.verdict(),
+            Self::Prompt(tracking) => tracking,
+            Self::Late(tracking) => tracking,
         }
     }
 }
 
 impl OuterLoop for DelayedMpc {
     fn step(&mut self, input: &TrackingInput<'_>) -> Velocity {
-        match self {
-            Self::Prompt(tracking) => tracking.step(input),
-            Self::Late(tracking) => tracking.step(input),
-        }
+        self.tracking().step(input)
     }
 
     fn reset(&mut self) {
-        match self {
-            Self::Prompt(tracking) => tracking.reset(),
-            Self::Late(tracking) => tracking.reset(),
-        }
+        self.tracking().reset();
     }
 
     fn plans(&self) -> bool {

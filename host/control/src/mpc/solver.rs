@@ -237,14 +237,9 @@ impl<const N: usize, const H: usize> Solver<N, H> {
     }
 
     /// Forgets the last plan.
-    pub(super) const fn reset(&mut self) {
-        let nothing = Bounded {
-            acceleration: Velocity::new(0.0, 0.0),
-            command: Velocity::new(0.0, 0.0),
-            position: Velocity::new(0.0, 0.0),
-        };
-        self.bounded = [nothing; H];
-        self.prices = [nothing; H];
+    pub(super) fn reset(&mut self) {
+        self.bounded = [Bounded::default(); H];
+        self.prices = [Bounded::default(); H];
     }
 
     /// Begins from the last plan without its first stage, which has passed.

@@ -46,19 +46,12 @@ impl External {
     ///
     /// A time-out that is not finite and above zero.
     pub fn new(timeout: f64) -> Result<Self, ReferenceError> {
-        let none = Trajectory {
-            stamp: SetpointStamp {
-                time: Time(0),
-                sequence: None,
-            },
-            points: heapless::Vec::new(),
-        };
         Ok(Self {
             timeout: positive("setpoint_timeout", timeout)?,
             newest: None,
-            followed: none.clone(),
+            followed: Trajectory::default(),
             blend: None,
-            assembled: none,
+            assembled: Trajectory::default(),
         })
     }
 

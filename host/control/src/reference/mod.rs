@@ -83,66 +83,28 @@ pub enum Reference {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReferenceError {
-    /// The value must be finite and above zero.
-    #[error("{name} is {value}: it must be finite and above zero")]
-    NotPositive {
-        /// The value's name.
-        name: &'static str,
-        /// The value.
-        value: f64,
-    },
-    /// The value must be finite.
-    #[error("{name} is {value}: it must be finite")]
-    NotFinite {
-        /// The value's name.
-        name: &'static str,
-        /// The value.
-        value: f64,
-    },
-    /// The sequence needs more elements.
-    #[error("{name}: {count} given, at least {least} needed")]
-    TooFew {
-        /// The sequence's name.
-        name: &'static str,
-        /// The number of elements.
-        count: usize,
-        /// The smallest number of elements.
-        least: usize,
-    },
-    /// The sequence is longer than the capacity of the controller.
-    #[error("{name}: more than the {most} that fit")]
-    TooMany {
-        /// The sequence's name.
-        name: &'static str,
-        /// The largest number of elements.
-        most: usize,
-    },
-    /// The waypoints must be in order of time.
-    #[error("waypoint {index} is at {time_s} s, not after the one before it")]
-    TimeNotIncreasing {
-        /// Index of the later waypoint, from 0.
-        index: usize,
-        /// Its time, in s.
-        time_s: f64,
-    },
-    /// Two points of a path in a row are too close for a spline.
-    #[error("point {index} is {distance:.4} m from the one before it; at least 0.005 m are needed")]
-    TooClose {
-        /// Index of the later point, from 0.
-        index: usize,
-        /// Their distance, in m.
-        distance: f64,
-    },
-    /// The path bends more than any car can follow.
-    #[error(
-        "the path turns with a radius of {radius:.3} m at point {index}; at least 0.05 m are needed"
-    )]
-    TooSharp {
-        /// Index of the point, from 0.
-        index: usize,
-        /// The radius, in m.
-        radius: f64,
-    },
+    /// A value, by its name, must be finite and above zero.
+    #[error("{0} is {1}: it must be finite and above zero")]
+    NotPositive(&'static str, f64),
+    /// A value, by its name, must be finite.
+    #[error("{0} is {1}: it must be finite")]
+    NotFinite(&'static str, f64),
+    /// A sequence, by its name, needs more elements: how many it has, and the smallest number.
+    #[error("{0}: {1} given, at least {2} needed")]
+    TooFew(&'static str, usize, usize),
+    /// A sequence, by its name, has more elements than the capacity of the controller.
+    #[error("{0}: more than the {1} that fit")]
+    TooMany(&'static str, usize),
+    /// A waypoint, by its index from 0, and its time in s: they must be in order of time.
+    #[error("waypoint {0} is at {1} s, not after the one before it")]
+    TimeNotIncreasing(usize, f64),
+    /// A point of a path, by its index from 0, and its distance in m from the one before it, too
+    /// small for a spline.
+    #[error("point {0} is {1:.4} m from the one before it; at least 0.005 m are needed")]
+    TooClose(usize, f64),
+    /// A point, by its index from 0, and the radius there in m: no car can follow such a path.
+    #[error("the path turns with a radius of {1:.3} m at point {0}; at least 0.05 m are needed")]
+    TooSharp(usize, f64),
 }
 
 impl Reference {
@@ -215,7 +177,7 @@ fn positive(name: &'static str, value: f64) -> Result<f64, ReferenceError> {
     if value.is_finite() && value > 0.0 {
         Ok(value)
     } else {
-        Err(ReferenceError::NotPositive { name, value })
+        Err(ReferenceError::NotPositive(name, value))
     }
 }
 
@@ -224,7 +186,7 @@ fn finite(name: &'static str, value: f64) -> Result<f64, ReferenceError> {
     if value.is_finite() {
         Ok(value)
     } else {
-        Err(ReferenceError::NotFinite { name, value })
+        Err(ReferenceError::NotFinite(name, value))
     }
 }
 

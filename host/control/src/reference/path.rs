@@ -176,16 +176,11 @@ impl Path {
 
     /// The place that is passed at this time on the lap, at this rate.
     fn passed_at(&self, time: f64, rate: f64) -> ReferencePoint {
-        let last = self.stations.len().saturating_sub(2);
-        let index = self
+        let passed = self
             .stations
-            .partition_point(|station| station.time <= time)
-            .saturating_sub(1)
-            .min(last);
-        let (Some(from), Some(to)) = (self.stations.get(index), self.stations.get(index + 1))
-        else {
-            return ReferencePoint::default();
-        };
+            .partition_point(|station| station.time <= time);
+        let index = passed.clamp(1, self.stations.len() - 1) - 1;
+        let (from, to) = (self.stations[index], self.stations[index + 1]);
         let whole = to.time - from.time;
         let elapsed = (time - from.time).clamp(0.0, whole);
         let change = (to.pace - from.pace) / whole;
@@ -224,94 +219,76 @@ impl Path {
 
     /// Where the spline is at `at`, and how it goes on.
     fn spot(&self, at: f64) -> Spot {
-        let last = self.knots.len().saturating_sub(2);
-        let index = self
-            .knots
-            .partition_point(|knot| knot.at <= at)
-            .saturating_sub(1)
-            .min(last);
-        match (self.knots.get(index), self.knots.get(index + 1)) {
-            (Some(from), Some(to)) => Spot::between(from, to, at),
-            _ => Spot::default(),
-        }
+        let passed = self.knots.partition_point(|knot| knot.at <= at);
+        let index = passed.clamp(1, self.knots.len() - 1);
+        Spot::between(&self.knots[index - 1], &self.knots[index], at)
     }
 
     /// Computes the stations from the limits.
     fn profile(&mut self, stretches: usize, limits: &PathSpeed) -> Result<(), ReferenceError> {
         // Squares of the speed, m²/s².
-        let mut squares: Vec<f64, { MAX_STRETCHES + 1 }> = Vec::new();
         let top = limits.speed * limits.speed;
-        for station in 0..=stretches {
-            let curvature = self.spot(station as f64 * self.stretch).curvature();
-            let bend = limits.lateral_acceleration / curvature.max(1e-9);
-            let _ = squares.push(top.min(bend));
-        }
+        let in_bend = |curvature: f64| limits.lateral_acceleration / curvature.max(1e-9);
+        let stations = (0..=stretches).map(|station| self.spot(station as f64 * self.stretch));
+        let mut squares: Vec<f64, { MAX_STRETCHES + 1 }> = stations
+            .map(|spot| top.min(in_bend(spot.curvature())))
+            .collect();
         // The second derivative is largest at a knot, which lies between two stations.
         for (index, knot) in self.knots.iter().enumerate() {
             let curvature = self.spot(knot.at).curvature();
             // Where the spline turns back on itself its curvature is no number.
             if curvature.is_nan() || curvature * LEAST_RADIUS > 1.0 {
-                return Err(ReferenceError::TooSharp {
-                    index,
-                    radius: 1.0 / curvature,
-                });
+                return Err(ReferenceError::TooSharp(index, 1.0 / curvature));
             }
             let station = (knot.at / self.stretch) as usize;
             for square in squares.iter_mut().skip(station).take(2) {
-                *square = square.min(limits.lateral_acceleration / curvature.max(1e-9));
+                *square = square.min(in_bend(curvature));
             }
         }
         let lengths: Vec<f64, MAX_STRETCHES> =
             (0..stretches).map(|stretch| self.length(stretch)).collect();
-        if !self.is_closed {
-            if let Some(first) = squares.first_mut() {
-                *first = 0.0;
-            }
-            if let Some(last) = squares.last_mut() {
-                *last = 0.0;
-            }
-        }
+        // The acceleration bounds what comes after a stretch by what is before it, and the reverse.
+        let after =
+            |square: f64, stretch: usize| square + 2.0 * limits.acceleration * lengths[stretch];
+        self.join(&mut squares);
         // On a closed path the limits of the start come round from its end: twice.
         let rounds = if self.is_closed { 2 } else { 1 };
         for _ in 0..rounds {
-            self.join(&mut squares);
             for index in 0..stretches {
-                limit(&mut squares, &lengths, index, index + 1, index, limits);
+                squares[index + 1] = squares[index + 1].min(after(squares[index], index));
             }
             self.join(&mut squares);
             for index in (0..stretches).rev() {
-                limit(&mut squares, &lengths, index + 1, index, index, limits);
+                squares[index] = squares[index].min(after(squares[index + 1], index));
             }
+            self.join(&mut squares);
         }
-        self.join(&mut squares);
         let mut time = 0.0;
-        let mut before: Option<f64> = None;
         for (station, square) in squares.iter().enumerate() {
-            let spot = self.spot(station as f64 * self.stretch);
-            let pace = sqrt(*square) / hypot(spot.slope.x, spot.slope.y);
-            if let Some(before) = before {
-                time += 2.0 * self.stretch / (before + pace);
+            let slope = self.spot(station as f64 * self.stretch).slope;
+            let pace = sqrt(*square) / hypot(slope.x, slope.y);
+            if let Some(before) = self.stations.last() {
+                time += 2.0 * self.stretch / (before.pace + pace);
             }
-            before = Some(pace);
             let _ = self.stations.push(Station { time, pace });
         }
         if time.is_finite() {
             Ok(())
         } else {
             // A spline that stands still somewhere: its points turn back on themselves.
-            Err(ReferenceError::TooSharp {
-                index: 0,
-                radius: 0.0,
-            })
+            Err(ReferenceError::TooSharp(0, 0.0))
         }
     }
 
-    /// On a closed path, the end is the start.
+    /// A closed path's end is its start; an open path begins and ends at rest.
     fn join(&self, squares: &mut [f64]) {
-        if let (true, [first, .., last]) = (self.is_closed, squares) {
-            let both = first.min(*last);
-            *first = both;
-            *last = both;
+        if let [first, .., last] = squares {
+            let both = if self.is_closed {
+                first.min(*last)
+            } else {
+                0.0
+            };
+            (*first, *last) = (both, both);
         }
     }
 
@@ -322,22 +299,6 @@ impl Path {
             hypot(slope.x, slope.y)
         };
         self.stretch * (speed(0.0) + 4.0 * speed(0.5) + speed(1.0)) / 6.0
-    }
-}
-
-/// Bounds the square of the speed at `to` by the acceleration from `from`, over a stretch.
-fn limit(
-    squares: &mut [f64],
-    lengths: &[f64],
-    from: usize,
-    to: usize,
-    stretch: usize,
-    limits: &PathSpeed,
-) {
-    if let (Some(from), Some(length)) = (squares.get(from).copied(), lengths.get(stretch))
-        && let Some(to) = squares.get_mut(to)
-    {
-        *to = to.min(from + 2.0 * limits.acceleration * length);
     }
 }
 
@@ -381,17 +342,10 @@ impl Spot {
 fn spline(points: &[Position], is_closed: bool) -> Result<Vec<Knot, KNOTS>, ReferenceError> {
     let least = if is_closed { 3 } else { 2 };
     if points.len() < least {
-        return Err(ReferenceError::TooFew {
-            name: "points",
-            count: points.len(),
-            least,
-        });
+        return Err(ReferenceError::TooFew("points", points.len(), least));
     }
     if points.len() > MAX_PATH_POINTS {
-        return Err(ReferenceError::TooMany {
-            name: "points",
-            most: MAX_PATH_POINTS,
-        });
+        return Err(ReferenceError::TooMany("points", MAX_PATH_POINTS));
     }
     let mut knots: Vec<Knot, KNOTS> = Vec::new();
     let end = points.first().filter(|_| is_closed);
@@ -403,10 +357,7 @@ fn spline(points: &[Position], is_closed: bool) -> Result<Vec<Knot, KNOTS>, Refe
             Some(before) => {
                 let chord = (point.coords - before.position).norm();
                 if chord < LEAST_CHORD {
-                    return Err(ReferenceError::TooClose {
-                        index: index % points.len(),
-                        distance: chord,
-                    });
+                    return Err(ReferenceError::TooClose(index % points.len(), chord));
                 }
                 before.at + chord
             }
@@ -417,16 +368,13 @@ fn spline(points: &[Position], is_closed: bool) -> Result<Vec<Knot, KNOTS>, Refe
             bend: Velocity::zeros(),
         });
     }
+    let inner = knots.windows(3).map(row);
     if is_closed {
-        bend_periodic(&mut knots);
+        let rows = [row_of_start(&knots)].into_iter().chain(inner).collect();
+        bend_periodic(&mut knots, rows);
     } else {
-        let count = knots.len();
-        let inner = 1..count - 1;
-        let rows: Vec<Row, KNOTS> = inner
-            .map(|index| row(&knots, index - 1, index, index + 1))
-            .collect();
-        let bends = solve(&rows);
-        for (knot, bend) in knots.iter_mut().skip(1).zip(&bends) {
+        let rows: Vec<Row, KNOTS> = inner.collect();
+        for (knot, bend) in knots.iter_mut().skip(1).zip(&solve(&rows)) {
             knot.bend = *bend;
         }
     }
@@ -442,14 +390,11 @@ struct Row {
     right: Velocity,
 }
 
-/// The equation at the knot `here`, between `before` and `after`.
-fn row(knots: &[Knot], before: usize, here: usize, after: usize) -> Row {
-    let chord = |from: usize, to: usize| match (knots.get(from), knots.get(to)) {
-        (Some(from), Some(to)) => (to.at - from.at, to.position - from.position),
-        _ => (1.0, Velocity::zeros()),
-    };
-    let (first, way) = chord(before, here);
-    let (second, further) = chord(here, after);
+/// The equation at the middle one of three knots.
+fn row(knots: &[Knot]) -> Row {
+    let chord = |from: &Knot, to: &Knot| (to.at - from.at, to.position - from.position);
+    let (first, way) = chord(&knots[0], &knots[1]);
+    let (second, further) = chord(&knots[1], &knots[2]);
     Row {
         before: first,
         here: 2.0 * (first + second),
@@ -458,60 +403,35 @@ fn row(knots: &[Knot], before: usize, here: usize, after: usize) -> Row {
     }
 }
 
+/// The equation at the first knot of a closed spline, which has the last but one before it.
+fn row_of_start(knots: &[Knot]) -> Row {
+    let [before, end] = [knots[knots.len() - 2], knots[knots.len() - 1]];
+    let before = Knot {
+        at: before.at - end.at,
+        ..before
+    };
+    row(&[before, knots[0], knots[1]])
+}
+
 /// Second derivatives of a closed spline, whose last knot is its first: Sherman and Morrison's
 /// formula for the two corners of the matrix.
-fn bend_periodic(knots: &mut Vec<Knot, KNOTS>) {
-    let count = knots.len() - 1;
-    let (Some(end), Some(last)) = (
-        knots.get(count).map(|knot| knot.at),
-        knots.get(count - 1).copied(),
-    ) else {
-        return;
-    };
-    // The first knot's equation needs the last one before it.
-    let around = [
-        Knot {
-            at: last.at - end,
-            ..last
-        },
-        knots.first().copied().unwrap_or(last),
-        knots.get(1).copied().unwrap_or(last),
-    ];
-    let mut rows: Vec<Row, KNOTS> = Vec::new();
-    let _ = rows.push(row(&around, 0, 1, 2));
-    rows.extend((1..count).map(|index| row(knots, index - 1, index, index + 1)));
-    let (Some(corner), Some(lower)) = (
-        rows.first().map(|row| row.before),
-        rows.last().map(|row| row.after),
-    ) else {
-        return;
-    };
-    let gamma = -rows.first().map_or(1.0, |row| row.here);
-    if let Some(first) = rows.first_mut() {
-        first.here -= gamma;
-    }
-    if let Some(last) = rows.last_mut() {
-        last.here -= corner * lower / gamma;
-    }
+fn bend_periodic(knots: &mut [Knot], mut rows: Vec<Row, KNOTS>) {
+    let count = rows.len();
+    let (corner, lower) = (rows[0].before, rows[count - 1].after);
+    let gamma = -rows[0].here;
+    rows[0].here -= gamma;
+    rows[count - 1].here -= corner * lower / gamma;
     let bends = solve(&rows);
-    for (index, row) in rows.iter_mut().enumerate() {
-        row.right = match index {
-            0 => Velocity::new(gamma, 0.0),
-            index if index + 1 == count => Velocity::new(lower, 0.0),
-            _ => Velocity::zeros(),
-        };
+    for row in &mut rows {
+        row.right = Velocity::zeros();
     }
+    rows[0].right.x = gamma;
+    rows[count - 1].right.x = lower;
     let correction = solve(&rows);
-    let ends = |values: &[Velocity]| match values {
-        [first, .., last] => first + corner / gamma * last,
-        _ => Velocity::zeros(),
-    };
+    let ends = |values: &[Velocity]| values[0] + corner / gamma * values[count - 1];
     let factor = ends(&bends) / (1.0 + ends(&correction).x);
     for (index, knot) in knots.iter_mut().enumerate() {
-        let index = index % count;
-        if let (Some(bend), Some(correction)) = (bends.get(index), correction.get(index)) {
-            knot.bend = bend - correction.x * factor;
-        }
+        knot.bend = bends[index % count] - correction[index % count].x * factor;
     }
 }
 

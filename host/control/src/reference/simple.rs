@@ -8,6 +8,12 @@ use libm::sincos;
 use super::{ReferenceError, ReferencePoint, finite, positive};
 use crate::{Position, Velocity, direction};
 
+fn finite_centre(centre: Position) -> Result<Position, ReferenceError> {
+    finite("centre_m x", centre.x)?;
+    finite("centre_m y", centre.y)?;
+    Ok(centre)
+}
+
 /// A circle at constant angular velocity, which starts on the x axis of the centre.
 ///
 /// ```
@@ -16,7 +22,7 @@ use crate::{Position, Velocity, direction};
 /// let circle = Circle::new(Position::new(1.0, 2.0), 0.8, 0.5)?;
 /// assert_eq!(circle.radius(), 0.8);
 /// let flat = Circle::new(Position::origin(), 0.0, 0.5);
-/// assert!(matches!(flat, Err(ReferenceError::NotPositive { name: "radius_m", .. })));
+/// assert!(matches!(flat, Err(ReferenceError::NotPositive("radius_m", _))));
 /// # Ok::<(), ReferenceError>(())
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,10 +47,7 @@ impl Circle {
         angular_velocity: f64,
     ) -> Result<Self, ReferenceError> {
         Ok(Self {
-            centre: Position::new(
-                finite("centre_m x", centre.x)?,
-                finite("centre_m y", centre.y)?,
-            ),
+            centre: finite_centre(centre)?,
             radius: positive("radius_m", radius)?,
             angular_velocity: finite("angular_velocity_rad_s", angular_velocity)?,
             phase: 0.0,
@@ -104,10 +107,7 @@ impl FigureOfEight {
         angular_velocity: f64,
     ) -> Result<Self, ReferenceError> {
         Ok(Self {
-            centre: Position::new(
-                finite("centre_m x", centre.x)?,
-                finite("centre_m y", centre.y)?,
-            ),
+            centre: finite_centre(centre)?,
             half_length: positive("half_length_m", half_length)?,
             half_width: positive("half_width_m", half_width)?,
             angular_velocity: finite("angular_velocity_rad_s", angular_velocity)?,
@@ -170,11 +170,7 @@ impl VelocitySteps {
     /// velocities finite.
     pub fn new(steps: &[VelocityStep]) -> Result<Self, ReferenceError> {
         if steps.is_empty() {
-            return Err(ReferenceError::TooFew {
-                name: "steps",
-                count: 0,
-                least: 1,
-            });
+            return Err(ReferenceError::TooFew("steps", 0, 1));
         }
         let mut end = 0.0;
         let mut sequence = Vec::new();
@@ -184,10 +180,7 @@ impl VelocitySteps {
             finite("v_y_m_s", step.velocity.y)?;
             sequence
                 .push((end, step.velocity))
-                .map_err(|_| ReferenceError::TooMany {
-                    name: "steps",
-                    most: MAX_VELOCITY_STEPS,
-                })?;
+                .map_err(|_| ReferenceError::TooMany("steps", MAX_VELOCITY_STEPS))?;
         }
         Ok(Self { steps: sequence })
     }
@@ -269,11 +262,7 @@ impl Waypoints {
     /// increasing time.
     pub fn new(points: &[Waypoint]) -> Result<Self, ReferenceError> {
         if points.len() < 2 {
-            return Err(ReferenceError::TooFew {
-                name: "waypoints",
-                count: points.len(),
-                least: 2,
-            });
+            return Err(ReferenceError::TooFew("waypoints", points.len(), 2));
         }
         let mut previous = f64::NEG_INFINITY;
         for (index, point) in points.iter().enumerate() {
@@ -281,18 +270,13 @@ impl Waypoints {
             finite("waypoint x_m", point.position.x)?;
             finite("waypoint y_m", point.position.y)?;
             if point.time <= previous {
-                return Err(ReferenceError::TimeNotIncreasing {
-                    index,
-                    time_s: point.time,
-                });
+                return Err(ReferenceError::TimeNotIncreasing(index, point.time));
             }
             previous = point.time;
         }
         Ok(Self {
-            points: Vec::from_slice(points).map_err(|_| ReferenceError::TooMany {
-                name: "waypoints",
-                most: MAX_WAYPOINTS,
-            })?,
+            points: Vec::from_slice(points)
+                .map_err(|_| ReferenceError::TooMany("waypoints", MAX_WAYPOINTS))?,
         })
     }
 

@@ -240,26 +240,15 @@ impl BoardSection {
 }
 
 impl From<&Configuration> for BoardSection {
-    fn from(configuration: &Configuration) -> Self {
-        let Configuration {
-            servo,
-            esc,
-            speed,
-            failsafe,
-            max_pose_age_ms,
-            stop_input,
-            kill_output,
-            max_roll_out_ms: _,
-            car_id,
-            imu_axes,
-        } = *configuration;
+    fn from(board: &Configuration) -> Self {
+        let esc = board.esc;
         Self {
-            car_id,
-            failsafe,
-            max_pose_age_ms,
-            stop_input,
-            kill_output,
-            servo: ServoSection::from_inner(servo, "servo"),
+            car_id: board.car_id,
+            failsafe: board.failsafe,
+            max_pose_age_ms: board.max_pose_age_ms,
+            stop_input: board.stop_input,
+            kill_output: board.kill_output,
+            servo: ServoSection::from_inner(board.servo, "servo"),
             esc: EscSection {
                 kind: Some(esc.kind),
                 neutral_us: esc.neutral_us,
@@ -269,11 +258,11 @@ impl From<&Configuration> for BoardSection {
                 slew_us_per_20ms: esc.slew_us_per_20ms,
                 brake_us: Some(esc.brake_us),
             },
-            speed: SpeedSection::from_inner(speed, "speed"),
+            speed: SpeedSection::from_inner(board.speed, "speed"),
             imu: ImuSection {
-                forward: imu_axes.forward,
-                left: imu_axes.left,
-                up: imu_axes.up,
+                forward: board.imu_axes.forward,
+                left: board.imu_axes.left,
+                up: board.imu_axes.up,
             },
         }
     }

@@ -467,7 +467,7 @@ pub fn restart_keys(old: &Config, new: &Config) -> Result<Vec<String>, toml::ser
             // A section within this one is in the list itself.
             let is_section = SECTIONS.iter().any(|section| section.name == path);
             let takes_restart = section.restart || key.restart;
-            if takes_restart && !is_section && at(&old, &path) != at(&new, &path) {
+            if takes_restart && !is_section && value_at(&old, &path) != value_at(&new, &path) {
                 keys.push(path);
             }
         }
@@ -476,7 +476,7 @@ pub fn restart_keys(old: &Config, new: &Config) -> Result<Vec<String>, toml::ser
 }
 
 /// The value at a path such as `motion_capture.pose.max_speed_m_s`.
-fn at<'a>(config: &'a Value, path: &str) -> Option<&'a Value> {
+pub(crate) fn value_at<'a>(config: &'a Value, path: &str) -> Option<&'a Value> {
     path.split('.')
         .try_fold(config, |value, name| value.get(name))
 }

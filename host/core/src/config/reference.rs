@@ -459,41 +459,35 @@ pub(super) fn read_text(path: &Path) -> io::Result<String> {
 
 /// The waypoints of a file, or why it is refused.
 fn read_waypoints(path: &Path) -> Result<Waypoints, String> {
-    let mut waypoints: Vec<Waypoint> = Vec::new();
-    read_rows(path, ["t_s", "x_m", "y_m"], |line, [time, x, y]| {
-        if let Some(before) = waypoints.last().filter(|before| time <= before.time) {
+    let rows = read_rows(path, ["t_s", "x_m", "y_m"])?;
+    for ((_, [before, ..]), (line, [time, ..])) in rows.iter().zip(rows.iter().skip(1)) {
+        if time <= before {
             return Err(format!(
-                "line {line}: t_s is {time}, not after {} of the waypoint before; put the lines in \
-                 order of time",
-                before.time
+                "line {line}: t_s is {time}, not after {before} of the waypoint before; put the \
+                 lines in order of time"
             ));
         }
-        waypoints.push(Waypoint {
-            time,
-            position: Position::new(x, y),
-        });
-        Ok(())
-    })?;
-    Waypoints::new(&waypoints).map_err(|error| format!("{error}; write one waypoint a line"))
+    }
+    let waypoints = rows.into_iter().map(|(_, [time, x, y])| Waypoint {
+        time,
+        position: Position::new(x, y),
+    });
+    Waypoints::new(&waypoints.collect::<Vec<_>>())
+        .map_err(|error| format!("{error}; write one waypoint a line"))
 }
 
 /// The points of a file, in m, or why it is refused.
 fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, String> {
-    let mut points = Vec::new();
-    read_rows(path, ["x_m", "y_m"], |_, point| {
-        points.push(point);
-        Ok(())
-    })?;
-    Ok(points)
+    let rows = read_rows(path, ["x_m", "y_m"])?;
+    Ok(rows.into_iter().map(|(_, point)| point).collect())
 }
 
-/// Reads the rows of a file with these columns, and no others, in any order. `take` gets the
-/// line's number and the numbers in the order of `columns`.
+/// The rows of a file with these columns, and no others, in any order: the line's number, and the
+/// numbers in the order of `columns`.
 fn read_rows<const COLUMNS: usize>(
     path: &Path,
     columns: [&'static str; COLUMNS],
-    mut take: impl FnMut(u64, [f64; COLUMNS]) -> Result<(), String>,
-) -> Result<(), String> {
+) -> Result<Vec<(u64, [f64; COLUMNS])>, String> {
     let no_csv =
         |error: csv::Error| format!("{error}; write one number for each column, such as 1.5,-0.5");
     let text = read_text(path).map_err(|error| error.to_string())?;
@@ -509,6 +503,7 @@ fn read_rows<const COLUMNS: usize>(
             "line 1 must name the columns {columns}, and no others"
         ));
     }
+    let mut rows = Vec::new();
     for record in reader.records() {
         let record = record.map_err(no_csv)?;
         let line = record.position().map_or(0, csv::Position::line);
@@ -520,7 +515,7 @@ fn read_rows<const COLUMNS: usize>(
                 format!("line {line}: {column} is no finite number; write one, as 0.5")
             })?;
         }
-        take(line, row)?;
+        rows.push((line, row));
     }
-    Ok(())
+    Ok(rows)
 }

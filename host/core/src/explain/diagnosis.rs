@@ -155,7 +155,7 @@ struct Measured {
 }
 
 /// Watches a session, and says what is wrong with it.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct CameraWatch {
     /// The age up to which a pose may be driven by, ns.
     fresh_ns: u64,
@@ -174,11 +174,7 @@ impl CameraWatch {
     pub(crate) fn new(fresh: f64) -> Self {
         Self {
             fresh_ns: (1e9 * fresh) as u64,
-            past: heapless::Deque::new(),
-            measured: Measured::default(),
-            found: None,
-            reported: None,
-            wrong_transport: false,
+            ..Self::default()
         }
     }
 

@@ -48,40 +48,24 @@ pub fn explanations() -> impl Iterator<Item = Explanation> {
     })
 }
 
-/// A word's explanation, as plain text.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Entry {
-    /// What the word means: one sentence or several.
-    meaning: String,
-    /// What to do about it; none if nothing is to be done.
-    advice: Option<String>,
+/// The explanation of a word; none if the daemon is of another release and has other words.
+fn find(who: &str, word: &str) -> Option<Explanation> {
+    explanations().find(|row| row.who == who && row.word == word)
 }
 
-impl Entry {
-    /// The explanation of a word; none if the daemon is of another release and has other words.
-    fn find(who: &str, word: &str) -> Option<Self> {
-        explanations()
-            .find(|row| row.who == who && row.word == word)
-            .map(|row| Self {
-                meaning: row.meaning.replace('`', ""),
-                advice: (!row.remedy.starts_with("Nothing")).then(|| row.remedy.replace('`', "")),
-            })
+/// The first sentence of a meaning, as a part of another one.
+fn brief(meaning: &str) -> String {
+    let first = meaning.split(". ").next().unwrap_or_default();
+    let mut letters = first.trim_end_matches('.').chars();
+    let Some(initial) = letters.next() else {
+        return String::new();
+    };
+    let rest = letters.as_str();
+    if rest.starts_with(char::is_uppercase) {
+        // IMU
+        return format!("{initial}{rest}");
     }
-
-    /// The first sentence of the meaning, as a part of another one.
-    fn brief(&self) -> String {
-        let first = self.meaning.split(". ").next().unwrap_or_default();
-        let mut letters = first.trim_end_matches('.').chars();
-        let Some(initial) = letters.next() else {
-            return String::new();
-        };
-        let rest = letters.as_str();
-        if rest.starts_with(char::is_uppercase) {
-            // IMU
-            return format!("{initial}{rest}");
-        }
-        format!("{}{rest}", initial.to_lowercase())
-    }
+    format!("{}{rest}", initial.to_lowercase())
 }
 
 /// Why a car does not drive, for a person.
@@ -112,10 +96,11 @@ impl Why {
     /// Of this word; `who` decides, as in [`Explanation::who`]. A word of another release is its own
     /// explanation.
     pub fn of_word(who: &str, word: &str) -> Self {
-        match Entry::find(who, word) {
-            Some(entry) => Self {
-                text: format!("{} ({word})", entry.brief()),
-                advice: entry.advice,
+        let plain = |text: &str| text.replace('`', "");
+        match find(who, word) {
+            Some(row) => Self {
+                text: format!("{} ({word})", brief(&plain(&row.meaning))),
+                advice: (!row.remedy.starts_with("Nothing")).then(|| plain(&row.remedy)),
             },
             None => Self {
                 text: word.to_owned(),
@@ -199,15 +184,18 @@ mod tests {
             .iter()
             .map(|cause| ("board stop", cause.name()));
         for (source, word) in host.chain(board) {
-            let Some(entry) = Entry::find(source, word) else {
+            let Some(row) = find(source, word) else {
                 panic!("{source}: {word} is not explained");
             };
-            let texts = [Some(entry.meaning.clone()), entry.advice.clone()];
-            for text in texts.into_iter().flatten() {
-                assert!(text.len() >= 5 && !text.contains('`'), "{text}");
-                assert!(!text.contains("]("), "{text}");
+            for text in [&row.meaning, &row.remedy] {
+                assert!(text.len() >= 5 && !text.contains("]("), "{text}");
             }
-            assert!(!entry.brief().is_empty() && !entry.brief().ends_with('.'));
+            let why = Why::of_word(source, word);
+            for text in [Some(why.text), why.advice].into_iter().flatten() {
+                assert!(!text.contains('`'), "{text}");
+            }
+            let brief = brief(&row.meaning);
+            assert!(!brief.is_empty() && !brief.ends_with('.'));
         }
     }
 
@@ -242,20 +230,17 @@ mod tests {
 
     #[test]
     fn a_word_of_another_release_is_not_explained() {
-        assert_eq!(Entry::find("host", "asleep"), None);
-        assert_eq!(Entry::find("host", ""), None);
-        assert_eq!(Entry::find("board stop", "no-pose"), None);
+        assert_eq!(find("host", "asleep"), None);
+        assert_eq!(find("host", ""), None);
+        assert_eq!(find("board stop", "no-pose"), None);
     }
 
     #[test]
     fn a_meaning_goes_on_in_a_sentence_and_a_name_keeps_its_capitals() {
-        let brief = |word| Entry::find("host", word).map(|entry| entry.brief());
+        let brief = |word| find("host", word).map(|row| brief(&row.meaning));
         assert_eq!(brief("no-pose").as_deref(), Some("no pose yet"));
         let tilt = brief("tilt-differs").unwrap_or_default();
         assert!(tilt.starts_with("IMU and cameras"), "{tilt}");
-        assert_eq!(
-            Entry::find("host", "time-up").and_then(|entry| entry.advice),
-            None
-        );
+        assert_eq!(Why::of_word("host", "time-up").advice, None);
     }
 }

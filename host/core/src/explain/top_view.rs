@@ -50,10 +50,7 @@ pub fn setup(number: u32, config: &Config) -> Value {
 /// there is none.
 fn start(config: &Config) -> Value {
     let judgement = judge_reference(config, None, Some(LONGEST_S)).unwrap_or_default();
-    judgement.start.map_or(
-        Value::Null,
-        |start| json!({ "x_m": start.x_m, "y_m": start.y_m, "yaw_rad": start.yaw_rad }),
-    )
+    json!(judgement.start)
 }
 
 /// The positions of the reference over its lap or its duration, and whether it closes; none for a

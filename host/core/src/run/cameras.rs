@@ -112,8 +112,10 @@ pub struct CameraReceiver {
     is_stale: bool,
     last_frame: i32,
     counters_at_ns: u64,
-    passed: u64,
-    dropped: u64,
+    /// Observations passed to the control loop.
+    pub passed: u64,
+    /// Observations lost because the control loop's ring was full.
+    pub dropped: u64,
 }
 
 impl CameraReceiver {
@@ -152,16 +154,6 @@ impl CameraReceiver {
     /// The counters of the session.
     pub fn counters(&self) -> PlanarCounters {
         self.session.counters()
-    }
-
-    /// Observations passed to the control loop.
-    pub const fn passed(&self) -> u64 {
-        self.passed
-    }
-
-    /// Observations lost because the control loop's ring was full.
-    pub const fn dropped(&self) -> u64 {
-        self.dropped
     }
 
     /// Handles the received datagrams, sends those that are due, and reports silence.

@@ -89,8 +89,10 @@ enum Ending {
 /// The controller and its rings.
 #[derive(Debug)]
 pub struct ControlLoop<L> {
-    pub(super) controller: Controller,
-    rings: Rings<L>,
+    /// The controller.
+    pub controller: Controller,
+    /// The rings.
+    pub rings: Rings<L>,
     line: Option<L>,
     index: u64,
     commands_since_heard: u32,
@@ -99,7 +101,9 @@ pub struct ControlLoop<L> {
     begin_ns: Option<u64>,
     ending: Ending,
     alignment: Option<Alignment>,
-    slide_ns: i64,
+    /// By how much to delay the next tick beyond a period after the last one, in ns;
+    /// negative to advance it.
+    pub slide_ns: i64,
     last_start_ns: u64,
     counters: LineCounters,
     /// A proof that is void, and whose report has found no room.
@@ -109,7 +113,7 @@ pub struct ControlLoop<L> {
 impl<L: Line> ControlLoop<L> {
     /// A loop with a closed line. With `arm_when_ready` it arms once, as soon as the pilot is
     /// ready. With a period in `aligned_ns`, in ns, it aligns the ticks with the camera frames,
-    /// see [`slide_ns`](Self::slide_ns), and begins each when its frame arrives, see
+    /// see [`slide_ns`](Self#structfield.slide_ns), and begins each when its frame arrives, see
     /// [`due_ns`](Self::due_ns).
     pub fn new(
         controller: Controller,
@@ -134,31 +138,15 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
-    /// The rings, for a caller that prepares their memory.
-    pub const fn rings_mut(&mut self) -> &mut Rings<L> {
-        &mut self.rings
-    }
-
     /// What the system granted the thread that runs the loop, for the pilot.
     pub fn real_time(&mut self, state: RealTimeState) {
         self.controller.push(Event::RealTime(state));
     }
 
-    /// The controller.
-    pub const fn controller(&self) -> &Controller {
-        &self.controller
-    }
-
-    /// By how much to delay the next tick beyond a period after the last one, in ns;
-    /// negative to advance it.
-    pub const fn slide_ns(&self) -> i64 {
-        self.slide_ns
-    }
-
     /// The counters so far.
     pub fn counters(&self) -> LineCounters {
         LineCounters {
-            link: self.controller.session().counters(),
+            link: self.controller.session.counters(),
             ..self.counters
         }
     }
@@ -172,12 +160,12 @@ impl<L: Line> ControlLoop<L> {
     /// are aligned with the cameras, and the deadline itself otherwise. Not much sooner than a
     /// period after a tick that was late.
     pub fn opens_ns(&self, grid: &Grid) -> u64 {
-        let deadline_ns = grid.next_ns();
+        let deadline_ns = grid.next_ns;
         let Some(alignment) = &self.alignment else {
             return deadline_ns;
         };
-        let window_ns = alignment.window_ns();
-        let apart_ns = alignment.period_ns() - window_ns;
+        let window_ns = alignment.window_ns;
+        let apart_ns = alignment.period_ns - window_ns;
         let apart_from_ns = self.last_start_ns.saturating_add(apart_ns);
         deadline_ns
             .saturating_sub(window_ns)
@@ -190,11 +178,11 @@ impl<L: Line> ControlLoop<L> {
     /// each frame.
     #[must_use]
     pub fn due_ns(&mut self, grid: &Grid) -> u64 {
-        let deadline_ns = grid.next_ns();
+        let deadline_ns = grid.next_ns;
         let Some(alignment) = &self.alignment else {
             return deadline_ns;
         };
-        let since_ns = deadline_ns.saturating_sub(alignment.period_ns() / 2);
+        let since_ns = deadline_ns.saturating_sub(alignment.period_ns / 2);
         let opens_ns = self.opens_ns(grid);
         let observations = &mut self.rings.observations;
         let waiting = observations.read_chunk(observations.slots());
@@ -216,7 +204,7 @@ impl<L: Line> ControlLoop<L> {
     pub fn wake_up(&mut self, grid: &mut Grid, clock: &impl Fn() -> u64) {
         let due_ns = self.due_ns(grid);
         self.tick(grid.enter(clock(), due_ns), clock);
-        grid.slide(self.slide_ns());
+        grid.slide(self.slide_ns);
         grid.leave(clock());
     }
 
@@ -248,7 +236,7 @@ impl<L: Line> ControlLoop<L> {
             self.controller.push(Event::Begin(Time(begin_ns)));
         }
         self.end_if_done(now.0);
-        match self.controller.pilot().mode() {
+        match self.controller.pilot.mode() {
             Mode::Ready if self.arm_when_ready => {
                 self.request(PilotRequest::Arm(Arming::Unattended));
             }
@@ -319,7 +307,7 @@ impl<L: Line> ControlLoop<L> {
             events_dropped: tick.dropped_events.saturating_add(passed_over),
             output: tick.output,
             drive,
-            link: link_phase(&controller.session().state()),
+            link: link_phase(&controller.session.state()),
         };
         dropped += u64::from(!rings.ticks.push(&record));
         self.counters.reports_dropped += dropped;
@@ -495,12 +483,12 @@ impl<L: Line> ControlLoop<L> {
     }
 
     fn is_driving(&self) -> bool {
-        self.controller.pilot().mode().is_underway()
+        self.controller.pilot.mode().is_underway()
     }
 
     /// Whether the board is armed, or has not yet confirmed a disarm.
     fn is_board_armed(&self) -> bool {
-        let session = self.controller.session();
+        let session = &self.controller.session;
         match session.state() {
             State::Ready { mode } => {
                 session.is_stop_pending() || mode.is_some_and(BoardMode::is_armed)

@@ -4,7 +4,7 @@
 //! only in the source of bytes and time.
 
 use singletrack_control::{NeighbourSample, PoseSample, Position, SteeringMap, Time};
-use singletrack_link::{DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session};
+use singletrack_link::{DriveCommand, Event as LinkEvent, JogCommand, Session};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
     AttitudeSample, BoardRequest, Event, LineHealth, LinkState, Output, Pilot, PilotRequest,
@@ -40,9 +40,11 @@ pub type Events = heapless::Vec<Event, MAX_EVENTS>;
 /// [`tick`](Self::tick), which writes the frames for the board.
 #[derive(Debug)]
 pub struct Controller {
-    session: Session,
+    /// The session with the board.
+    pub session: Session,
     steering: SteeringMap,
-    pub(super) pilot: Pilot,
+    /// The pilot.
+    pub pilot: Pilot,
     /// The hash of the configuration in force, of what the first metre proves.
     configuration: u64,
     /// The number of the car; `None` before the board has given it.
@@ -71,8 +73,6 @@ pub struct Tick {
     /// What counts as proved no longer since this tick: what a drive contradicted, as soon as it is
     /// known on which car.
     pub disproved: Option<Proof>,
-    /// Whether the command to drive or to jog was written; `None` if there was none.
-    pub drive: Option<Result<Sent, DriveError>>,
 }
 
 /// Interval of the events with the share of damaged frames, in ticks.
@@ -101,16 +101,6 @@ impl Controller {
             queue: Queue::default(),
             ticks: 0,
         }
-    }
-
-    /// The session with the board.
-    pub const fn session(&self) -> &Session {
-        &self.session
-    }
-
-    /// The pilot.
-    pub const fn pilot(&self) -> &Pilot {
-        &self.pilot
     }
 
     /// The configuration in force on this car; `None` before the board has given its number.
@@ -274,27 +264,26 @@ impl Controller {
         let rate = rate(&self.session);
         // The command of the tick in which the first metre ends is still one of it.
         let rate = if output.proved { 1.0 } else { rate };
-        let drive = output.command.map(|command| {
-            let frame = self.session.drive(
-                now.0,
-                DriveCommand {
-                    speed_m_s: self.pilot.speed_for_board(command.rear_speed, rate),
-                    steering_rad: self.steering.commanded(command.steering),
-                    brake: command.brake,
-                    pose_time_ns: Some(command.pose_time.0),
-                },
-            )?;
-            Ok(write(frame.as_bytes()))
+        let drive = output.command.and_then(|command| {
+            let command = DriveCommand {
+                speed_m_s: self.pilot.speed_for_board(command.rear_speed, rate),
+                steering_rad: self.steering.commanded(command.steering),
+                brake: command.brake,
+                pose_time_ns: Some(command.pose_time.0),
+            };
+            self.session.drive(now.0, command).ok()
         });
-        let jog = output.jog.map(|jog| {
+        let jog = output.jog.and_then(|jog| {
             let command = JogCommand {
                 servo_us: jog.servo_us,
                 esc_us: jog.esc_us,
             };
-            let frame = self.session.jog(now.0, command)?;
-            Ok(write(frame.as_bytes()))
+            self.session.jog(now.0, command).ok()
         });
-        let drive = drive.or(jog);
+        // There is no frame for a board that is not ready.
+        if let Some(frame) = drive.or(jog) {
+            write(frame.as_bytes());
+        }
         match output.request {
             Some(BoardRequest::Arm) => {
                 let asked = self.session.arm(now.0);
@@ -319,7 +308,6 @@ impl Controller {
             output,
             proved,
             disproved,
-            drive,
         }
     }
 
@@ -627,7 +615,7 @@ mod tests {
             controller.queue.events.as_slice(),
             [Event::Link(LinkState::Down)]
         );
-        let state = controller.session().state();
+        let state = controller.session.state();
         assert_eq!(state, singletrack_link::State::Disconnected);
     }
 
@@ -700,7 +688,7 @@ mod tests {
             .map(|tick| greeted_tick(&mut controller, Time(tick * 10_000_000), tick < 30))
             .collect();
         assert!(ticks[..29].iter().all(|tick| tick.disproved.is_none()));
-        let state = controller.session().state();
+        let state = controller.session.state();
         assert!(
             matches!(state, singletrack_link::State::Ready { .. }),
             "{state:?}"

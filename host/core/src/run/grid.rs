@@ -16,7 +16,8 @@ pub struct Slot {
 /// The deadlines of the ticks, a period apart.
 #[derive(Clone, Copy, Debug)]
 pub struct Grid {
-    next_ns: u64,
+    /// The next deadline.
+    pub next_ns: u64,
     period_ns: u64,
     /// Deadlines that passed during the last tick.
     overrun: u64,
@@ -30,11 +31,6 @@ impl Grid {
             period_ns,
             overrun: 0,
         }
-    }
-
-    /// The next deadline.
-    pub const fn next_ns(&self) -> u64 {
-        self.next_ns
     }
 
     /// Moves all future deadlines by `by_ns`.
@@ -88,8 +84,10 @@ const SLOW: u64 = 500;
 /// Computes the slides of the grid from the arrivals of frames.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Alignment {
-    period_ns: u64,
-    window_ns: u64,
+    /// The period of the ticks, ns.
+    pub(crate) period_ns: u64,
+    /// The time before a deadline in which a frame begins the tick, ns.
+    pub(crate) window_ns: u64,
     /// When the newest frame arrived, if that was since the last tick.
     arrival_ns: Option<u64>,
 }
@@ -102,16 +100,6 @@ impl Alignment {
             window_ns: part_ns.min(MOST_WINDOW_NS),
             arrival_ns: None,
         }
-    }
-
-    /// The period of the ticks, ns.
-    pub(crate) const fn period_ns(&self) -> u64 {
-        self.period_ns
-    }
-
-    /// The time before a deadline in which a frame begins the tick, ns.
-    pub(crate) const fn window_ns(&self) -> u64 {
-        self.window_ns
     }
 
     /// A frame arrived.
@@ -152,7 +140,7 @@ mod tests {
 
     /// Enters without a frame.
     fn enter(grid: &mut Grid, now_ns: u64) -> Slot {
-        let due_ns = grid.next_ns();
+        let due_ns = grid.next_ns;
         grid.enter(now_ns, due_ns)
     }
 
@@ -270,9 +258,9 @@ mod tests {
 
     #[test]
     fn the_window_of_a_short_period_is_short() {
-        assert_eq!(Alignment::new(PERIOD).window_ns(), 3_000_000);
-        assert_eq!(Alignment::new(PERIOD / 2).window_ns(), 1_500_000);
-        assert_eq!(Alignment::new(5 * PERIOD).window_ns(), 3_000_000);
+        assert_eq!(Alignment::new(PERIOD).window_ns, 3_000_000);
+        assert_eq!(Alignment::new(PERIOD / 2).window_ns, 1_500_000);
+        assert_eq!(Alignment::new(5 * PERIOD).window_ns, 3_000_000);
     }
 
     #[test]

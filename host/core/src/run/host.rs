@@ -14,10 +14,9 @@
 use std::sync::{Arc, atomic::AtomicI64};
 
 use rtrb::{Consumer, RingBuffer};
-use singletrack_control::Estimate;
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::planar::{PlanarEvent, PlanarSession};
-use singletrack_pilot::{Jog, Learned, Mode, Pilot, PilotRequest, RealTimeState, Tuning};
+use singletrack_pilot::{Jog, Pilot, RealTimeState, Tuning};
 use singletrack_record::{Entry, TickOutput, TickRecord, tick_feed};
 
 use crate::{
@@ -27,11 +26,11 @@ use crate::{
     controller::Controller,
     grid::Grid,
     line::{Line, Port},
-    reconfigure::{ChangeError, Configurations},
+    reconfigure::Configurations,
     run::{
         proof::{Proofs, configuration_hash},
         report::Report,
-        requests::{ControlRequest, Requests, Stalled},
+        requests::Requests,
     },
     serial::{ReaderWait, SerialReader},
     slot::{SetpointSender, SlotSender, setpoint_slot, slot},
@@ -186,12 +185,16 @@ const POLLS: u32 = 8;
 /// A host that is polled in the place of its threads.
 #[derive(Debug)]
 pub struct VirtualHost<L> {
-    host: Host<L>,
+    /// The parts.
+    pub parts: Host<L>,
     grid: Grid,
-    /// When the next tick is due, as far as is known.
-    due_ns: u64,
-    serial_wait: ReaderWait,
-    cameras_due_ns: u64,
+    /// When the next tick is due, as far as is known. A frame that
+    /// [`poll_cameras`](Self::poll_cameras) receives may make it sooner.
+    pub due_ns: u64,
+    /// What the serial reader waits for.
+    pub serial_wait: ReaderWait,
+    /// When the camera receiver is to be polled at the latest, even if no datagram arrives.
+    pub cameras_due_ns: u64,
 }
 
 impl<L: Line> VirtualHost<L> {
@@ -207,12 +210,12 @@ impl<L: Line> VirtualHost<L> {
             fifo: true,
             memory_locked: true,
         });
-        let period_ns = host.configurations.in_force().control.period_ns();
+        let period_ns = host.configurations.in_force.control.period_ns();
         let grid = Grid::new(now_ns, period_ns);
         Ok(Self {
-            host,
+            parts: host,
             grid,
-            due_ns: grid.next_ns(),
+            due_ns: grid.next_ns,
             serial_wait: ReaderWait {
                 readable: false,
                 until_ns: now_ns,
@@ -221,48 +224,11 @@ impl<L: Line> VirtualHost<L> {
         })
     }
 
-    /// The parts, read-only.
-    pub const fn parts(&self) -> &Host<L> {
-        &self.host
-    }
-
-    /// Replaces the estimate of the next tick: see [`Pilot::assume`](singletrack_pilot::Pilot::assume).
-    pub const fn assume(&mut self, estimate: Estimate) {
-        self.host.control.controller.pilot.assume(estimate);
-    }
-
-    /// The controller.
-    pub const fn controller(&self) -> &Controller {
-        self.host.control.controller()
-    }
-
-    /// The pilot's mode after the last tick.
-    pub const fn mode(&self) -> Mode {
-        self.controller().pilot().mode()
-    }
-
-    /// When the next tick is due. A frame that [`poll_cameras`](Self::poll_cameras) receives
-    /// may make it sooner.
-    pub const fn next_tick_ns(&self) -> u64 {
-        self.due_ns
-    }
-
-    /// Whether the serial reader has nothing to do before bytes arrive: its port is open, and
-    /// does not hang up by itself.
-    pub const fn awaits_bytes(&self) -> bool {
-        self.serial_wait.readable
-    }
-
-    /// When the camera receiver is to be polled at the latest, even if no datagram arrives.
-    pub const fn cameras_due_ns(&self) -> u64 {
-        self.cameras_due_ns
-    }
-
     /// Runs the serial reader at `now_ns`. Returns whether it read bytes.
     pub fn poll_serial(&mut self, now_ns: u64, port: &mut impl Port<Line = L>) -> bool {
-        let before = self.host.reader.counters().bytes;
-        self.serial_wait = self.host.reader.poll(&|| now_ns, port);
-        self.host.reader.counters().bytes > before
+        let before = self.parts.reader.counters.bytes;
+        self.serial_wait = self.parts.reader.poll(&|| now_ns, port);
+        self.parts.reader.counters.bytes > before
     }
 
     /// Runs the camera receiver at `now_ns`.
@@ -274,60 +240,42 @@ impl<L: Line> VirtualHost<L> {
     ) {
         // A thread polls again at once while datagrams wait.
         for _ in 0..POLLS {
-            self.cameras_due_ns = self.host.receiver.poll(&|| now_ns, sockets, on_event);
+            self.cameras_due_ns = self.parts.receiver.poll(&|| now_ns, sockets, on_event);
             if self.cameras_due_ns > now_ns {
                 break;
             }
         }
-        self.due_ns = self.host.control.due_ns(&self.grid);
+        self.due_ns = self.parts.control.due_ns(&self.grid);
     }
 
     /// Runs a tick of the control loop that wakes up at `now_ns`.
     pub fn tick(&mut self, now_ns: u64) {
-        self.host.control.wake_up(&mut self.grid, &|| now_ns);
-        self.due_ns = self.host.control.due_ns(&self.grid);
+        self.parts.control.wake_up(&mut self.grid, &|| now_ns);
+        self.due_ns = self.parts.control.due_ns(&self.grid);
     }
 
     /// Takes the record of the next tick, and drops all other reports. See
     /// [`entries`](Self::entries) to take everything.
     pub fn next_tick(&mut self) -> Option<TickRecord> {
-        while self.host.reports.pop().is_ok() {}
-        while self.host.camera_reports.pop().is_ok() {}
-        self.host.ticks.pop()
+        while self.parts.reports.pop().is_ok() {}
+        while self.parts.camera_reports.pop().is_ok() {}
+        self.parts.ticks.pop()
     }
 
     /// Passes all entries for the record since the last call to `take`, in the order of
     /// the daemon's collector.
     pub fn entries(&mut self, take: &mut impl FnMut(Entry)) {
-        while let Ok(report) = self.host.reports.pop() {
+        while let Ok(report) = self.parts.reports.pop() {
             report.entry().into_iter().for_each(&mut *take);
         }
-        while let Ok(report) = self.host.camera_reports.pop() {
+        while let Ok(report) = self.parts.camera_reports.pop() {
             if let CameraReport::Observation(observation) = report {
                 take(Entry::Pose(observation));
             }
         }
-        while let Some(tick) = self.host.ticks.pop() {
+        while let Some(tick) = self.parts.ticks.pop() {
             take(Entry::Tick(tick));
         }
-    }
-
-    /// Sends a request to the pilot.
-    ///
-    /// # Errors
-    ///
-    /// [`Stalled`] if the control loop has not taken the earlier requests.
-    pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
-        self.host.requests.push(ControlRequest::Pilot(request))
-    }
-
-    /// Tells the pilot what is learned, with the next tick.
-    ///
-    /// # Errors
-    ///
-    /// As [`request`](Self::request).
-    pub fn learned(&self, learned: Learned) -> Result<(), Stalled> {
-        self.host.requests.push(ControlRequest::Learned(learned))
     }
 
     /// Tunes the pilot with the next tick.
@@ -336,27 +284,10 @@ impl<L: Line> VirtualHost<L> {
     ///
     /// The configuration in force does not allow it.
     pub fn tune(&self, tuning: Tuning) -> Result<(), TuningError> {
-        let tuned = self.controller().pilot().tuned();
-        let rule = self.host.configurations.in_force().tuning_rule();
+        let tuned = self.parts.control.controller.pilot.tuned();
+        let rule = self.parts.configurations.in_force.tuning_rule();
         rule.check(&tuning, tuned.as_ref())?;
-        self.host.tunings.send(tuning);
+        self.parts.tunings.send(tuning);
         Ok(())
-    }
-
-    /// Hands another configuration to the control loop, which refuses it after
-    /// `until_ns`.
-    ///
-    /// # Errors
-    ///
-    /// The reason why it can't be handed over.
-    pub fn reconfigure(&mut self, config: Config, until_ns: u64) -> Result<(), ChangeError> {
-        self.host
-            .configurations
-            .begin(config, until_ns, &self.host.requests)
-    }
-
-    /// The outcome of the change that is underway; `None` while there is none.
-    pub fn settle(&mut self) -> Option<Result<u32, ChangeError>> {
-        self.host.configurations.settle()
     }
 }

@@ -3,8 +3,7 @@
 use serde_json::Value as Json;
 use singletrack_api::Correction;
 use singletrack_control::{
-    Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
-    CalibrationTick,
+    Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter,
 };
 use singletrack_pilot::{Event, Learned, Mode};
 use singletrack_record::TickRecord;
@@ -15,17 +14,14 @@ use crate::{
     config::{OnlineCalibrationMode, WatchSection},
 };
 
-/// The events of a kind that are used of a tick: more come only after a pause.
-const EVENTS: usize = 16;
-
 /// Interval at which a learner says what it has learned, in ticks.
 const LEARNED_TICKS: u32 = 100;
 
 /// Estimates what a drive says about the calibration.
 #[derive(Clone, Debug)]
 pub struct OnlineCalibration {
-    // It is too large for a thread's stack.
-    calibration: Box<Calibration>,
+    /// The errors of the calibration, on the heap: they are too large for a thread's stack.
+    pub errors: Box<Calibration>,
     /// None if the pilot does not learn.
     learner: Option<Learner>,
     watch: WatchSection,
@@ -75,7 +71,7 @@ impl OnlineCalibration {
     /// For this configuration, also if it is off.
     pub fn of(config: &Config) -> Self {
         Self {
-            calibration: Box::new(Calibration::new(CalibrationConfig {
+            errors: Box::new(Calibration::new(CalibrationConfig {
                 vehicle: config.vehicle,
                 actuators: config.actuators.model(),
                 marker_offset: config.motion_capture.marker_offset_m,
@@ -92,20 +88,15 @@ impl OnlineCalibration {
     /// Takes a tick. Once a second, gives what a pilot that learns is to be told; nothing in
     /// doubt.
     pub fn tick(&mut self, tick: &TickRecord) -> Option<Learned> {
-        let mut poses = heapless::Vec::<_, EVENTS>::new();
-        let mut samples = heapless::Vec::<_, EVENTS>::new();
+        let now = tick.pilot_time;
+        self.errors.begin_tick(now);
         for event in &tick.events {
             match event {
                 // What the pilot does not believe is not learned from.
-                Event::Pose(pose) if !tick.output.held => {
-                    let _ = poses.push(*pose);
-                }
+                Event::Pose(pose) if !tick.output.held => self.errors.pose(pose),
                 Event::Board(board) => {
-                    let _ = samples.push(CalibrationSample {
-                        time: board.time,
-                        inertial: board.inertial.filter(|it| self.watch.is_possible(it)),
-                        motor_speed: board.motor_speed,
-                    });
+                    let inertial = board.inertial.filter(|it| self.watch.is_possible(it));
+                    self.errors.board(board.time, inertial, board.motor_speed);
                 }
                 _ => {}
             }
@@ -113,36 +104,14 @@ impl OnlineCalibration {
         let output = &tick.output;
         let drives = matches!(output.mode, Mode::Driving | Mode::Slowing | Mode::Stopping);
         let command = output.command.filter(|_| drives);
-        self.calibration.tick(&CalibrationTick {
-            time: tick.pilot_time,
-            steering: command.map(|command| command.steering),
-            poses: &poses,
-            samples: &samples,
-        });
+        self.errors
+            .end_tick(now, command.map(|command| command.steering));
         self.ticks = self.ticks.wrapping_add(1);
         let learner = self.learner.as_mut()?;
-        if !drives
-            || !self.ticks.is_multiple_of(LEARNED_TICKS)
-            || self.calibration.doubts_steering()
-        {
+        if !drives || !self.ticks.is_multiple_of(LEARNED_TICKS) || self.errors.doubts_steering() {
             return None;
         }
-        Some(learner.take(&self.calibration.estimates()))
-    }
-
-    /// By how much the steering has changed while the car drove, rad; `None` if it has not.
-    pub fn steering_change(&self) -> Option<f64> {
-        self.calibration.steering_change()
-    }
-
-    /// The estimates, in the order of their numbers.
-    pub fn estimates(&self) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
-        self.calibration.estimates()
-    }
-
-    /// The least standard deviations of the estimates, see [`Calibration::bounds`].
-    pub fn bounds(&self, free: &Self) -> [Option<f64>; CalibrationParameter::ALL.len()] {
-        self.calibration.bounds(&free.calibration)
+        Some(learner.take(&self.errors.estimates()))
     }
 }
 
@@ -274,35 +243,24 @@ pub fn corrected(config: &Config, corrections: &[Correction]) -> Result<Config, 
     let unwritten = |error: &dyn core::fmt::Display| {
         ConfigError::value("online_calibration", "corrections", error.to_string())
     };
-    let text = config.to_toml().map_err(|error| unwritten(&error))?;
-    let mut table: toml::Table = toml::from_str(&text).map_err(|error| unwritten(&error))?;
+    let mut written = Value::try_from(config).map_err(|error| unwritten(&error))?;
     for correction in corrections {
-        let Correction { key, .. } = correction;
+        let key = &correction.key;
         let [configured, value] = [&correction.configured, &correction.value].map(Value::try_from);
         let configured = configured.map_err(|error| unwritten(&error))?;
         let value = value.map_err(|error| unwritten(&error))?;
-        let mut at = &mut table;
-        let mut parts = key.split('.').peekable();
-        while let Some(part) = parts.next() {
-            if parts.peek().is_none() {
-                let old = at.insert(part.to_owned(), value);
-                if old.as_ref() != Some(&configured) {
-                    let old = old.map_or_else(|| "absent".to_owned(), |old| old.to_string());
-                    let value = "another one than that of the drives";
-                    let fix = format!("{key} is {old}, and was {configured}; drive with it first");
-                    return Err(ConfigError::value("the configuration", value, fix));
-                }
-                break;
+        let mut parts = key.split('.');
+        match parts.try_fold(&mut written, |at, part| at.get_mut(part)) {
+            Some(old) if *old == configured => *old = value,
+            old => {
+                let old = old.map_or_else(|| "absent".to_owned(), |old| old.to_string());
+                let value = "another one than that of the drives";
+                let fix = format!("{key} is {old}, and was {configured}; drive with it first");
+                return Err(ConfigError::value("the configuration", value, fix));
             }
-            let next = at
-                .entry(part)
-                .or_insert_with(|| Value::Table(toml::Table::new()));
-            at = next
-                .as_table_mut()
-                .ok_or_else(|| unwritten(&format_args!("{part} is not a table")))?;
         }
     }
-    let text = toml::to_string(&table).map_err(|error| unwritten(&error))?;
+    let text = toml::to_string(&written).map_err(|error| unwritten(&error))?;
     Config::from_toml(&text)
 }
 

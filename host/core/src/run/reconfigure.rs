@@ -66,8 +66,10 @@ pub enum ChangeError {
 /// The configuration in force, and the change that is underway.
 #[derive(Debug)]
 pub struct Configurations {
-    in_force: Config,
-    number: u32,
+    /// The configuration in force.
+    pub in_force: Config,
+    /// Its number.
+    pub number: u32,
     returned: Consumer<Box<Reconfiguration>>,
     under_way: Option<Config>,
     /// For the camera receiver, which is not stopped for a change.
@@ -89,16 +91,6 @@ impl Configurations {
             under_way: None,
             stamp_offset_ns,
         }
-    }
-
-    /// The configuration in force.
-    pub const fn in_force(&self) -> &Config {
-        &self.in_force
-    }
-
-    /// Its number.
-    pub const fn number(&self) -> u32 {
-        self.number
     }
 
     /// The configuration in force with another reference, from a client that may name files in

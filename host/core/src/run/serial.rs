@@ -120,7 +120,8 @@ pub struct SerialReader<L> {
     returned: Consumer<L>,
     phase: Phase<L>,
     retry_ns: u64,
-    counters: ReaderCounters,
+    /// The counters so far.
+    pub counters: ReaderCounters,
 }
 
 impl<L: Line> SerialReader<L> {
@@ -134,11 +135,6 @@ impl<L: Line> SerialReader<L> {
             retry_ns: FIRST_RETRY_NS,
             counters: ReaderCounters::default(),
         }
-    }
-
-    /// The counters so far.
-    pub const fn counters(&self) -> ReaderCounters {
-        self.counters
     }
 
     /// Opens, reads or closes the port, whichever is due. Bytes get the time of `clock`
@@ -373,12 +369,12 @@ mod tests {
         assert!(matches!(taken.pop(), Ok(SerialEvent::Closed { time_ns }) if time_ns == 10 * MS));
         port.plugged = true;
         reader.poll(&|| 100 * MS, &mut port);
-        assert_eq!(reader.counters().opened, 1, "the write half is still out");
+        assert_eq!(reader.counters.opened, 1, "the write half is still out");
         assert!(back.push(line).is_ok());
         let wait = reader.poll(&|| 101 * MS, &mut port);
         assert_eq!(wait.until_ns, 151 * MS);
         reader.poll(&|| 151 * MS, &mut port);
-        assert_eq!(reader.counters().opened, 2);
+        assert_eq!(reader.counters.opened, 2);
     }
 
     #[test]
@@ -392,7 +388,7 @@ mod tests {
             ..Scripted::default()
         };
         reader.poll(&|| 0, &mut port);
-        assert_eq!(reader.counters().bytes_dropped, 2 * CHUNK as u64);
+        assert_eq!(reader.counters.bytes_dropped, 2 * CHUNK as u64);
         port.plugged = false;
         for ms in 1..50 {
             reader.poll(&|| ms * MS, &mut port);

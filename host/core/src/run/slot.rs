@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 
-use singletrack_control::{Setpoint, SetpointStamp, Time, Trajectory};
+use singletrack_control::{Setpoint, Trajectory};
 use singletrack_pilot::{Event, Jog, Tuning};
 
 use crate::setpoint::SetpointCommand;
@@ -91,13 +91,7 @@ pub fn setpoint_slot() -> (SetpointSender, SetpointReceiver) {
     let (sender, slot) = slot();
     let receiver = SetpointReceiver {
         slot,
-        trajectory: Trajectory {
-            stamp: SetpointStamp {
-                time: Time(0),
-                sequence: None,
-            },
-            points: heapless::Vec::new(),
-        },
+        trajectory: Trajectory::default(),
         next: 0,
     };
     (SetpointSender(sender), receiver)
@@ -152,8 +146,10 @@ mod tests {
     use singletrack_control::MAX_TRAJECTORY_POINTS;
     use singletrack_control::Position;
     use singletrack_control::ReferencePoint;
+    use singletrack_control::SetpointStamp;
     use singletrack_control::SpeedDemand;
     use singletrack_control::SteeringDemand;
+    use singletrack_control::Time;
     use singletrack_control::TrajectoryPoint;
     use singletrack_control::Velocity;
     use std::thread;

@@ -167,10 +167,10 @@ impl SimulatedDrive {
             self.port.received.clear();
         }
         self.host.reader.poll(&clock, &mut self.port);
-        assert_eq!(self.host.reader.counters().bytes_dropped, 0);
+        assert_eq!(self.host.reader.counters.bytes_dropped, 0);
         let mut sockets = SimulatedSockets(&mut self.world);
         self.host.receiver.poll(&clock, &mut sockets, &mut |_| {});
-        assert_eq!(self.host.receiver.dropped(), 0);
+        assert_eq!(self.host.receiver.dropped, 0);
         while let Ok(report) = self.host.camera_reports.pop() {
             if let CameraReport::Observation(observation) = report {
                 self.last_frame = observation.frame_number;
@@ -239,7 +239,7 @@ impl SimulatedDrive {
 
     /// The configuration in force.
     pub(crate) fn config(&self) -> Config {
-        self.host.configurations.in_force().clone()
+        self.host.configurations.in_force.clone()
     }
 
     pub(crate) fn request(&self, request: ControlRequest) {

@@ -7,7 +7,7 @@ use singletrack_control::{
 };
 
 use super::{
-    Compensator, DriveCommand, Output, Pilot,
+    DriveCommand, Output, Pilot,
     compensation::{Course, PathAhead},
     safety::LawStep,
     sense::Sensed,
@@ -184,7 +184,7 @@ impl Pilot {
             None => self.given_by(estimate, &actuation),
         };
         if let Some(compensator) = &mut self.compensator {
-            compensator.sent(actuation.speed);
+            compensator.sent = actuation.speed;
         }
         output.drive_time = Some(elapsed);
         output.actuation = actuation;
@@ -219,7 +219,7 @@ impl Pilot {
         self.compensator
             .as_ref()
             .filter(|_| self.watches.proving.is_none())
-            .map_or(commanded, Compensator::wheels)
+            .map_or(commanded, |it| it.predictor.wheels())
     }
 
     /// The actuation with which P follows its reference.

@@ -19,17 +19,6 @@ pub struct Compensation {
     pub vehicle: VehicleParameters,
 }
 
-impl Compensation {
-    /// Compensates nothing.
-    pub const fn off(vehicle: VehicleParameters) -> Self {
-        Self {
-            clock: false,
-            actuation: None,
-            vehicle,
-        }
-    }
-}
-
 /// Planned speeds kept: those of the longest dead time at the shortest period.
 const PLANNED: usize = 128;
 
@@ -60,7 +49,8 @@ const MOST_PART: f64 = 0.25;
 /// The state of the compensation.
 #[derive(Clone, Debug)]
 pub(super) struct Compensator {
-    predictor: Predictor,
+    /// The front wheels and the motor by the model.
+    pub(super) predictor: Predictor,
     /// The speeds planned, with the times at which the car should have them.
     planned: Deque<(Time, f64), PLANNED>,
     /// The one that is due, m/s.
@@ -68,7 +58,7 @@ pub(super) struct Compensator {
     integral: f64,
     /// The speed that was asked for in the last tick, and what the limits left of it, m/s.
     asked: f64,
-    sent: f64,
+    pub(super) sent: f64,
 }
 
 /// Where P should go, as the outer loop says.
@@ -153,26 +143,6 @@ impl Compensator {
         (self.asked, self.sent) = (0.0, 0.0);
     }
 
-    /// The angle of the front wheels by the model, rad.
-    pub(super) const fn wheels(&self) -> f64 {
-        self.predictor.wheels()
-    }
-
-    /// A tick begins.
-    pub(super) fn advance(&mut self, now: Time, speed: f64) {
-        self.predictor.advance(now, speed);
-    }
-
-    /// The steering was commanded.
-    pub(super) fn commanded(&mut self, now: Time, steering: f64) {
-        self.predictor.commanded(now, steering);
-    }
-
-    /// The limits left this of the speed that was asked for, m/s.
-    pub(super) const fn sent(&mut self, speed: f64) {
-        self.sent = speed;
-    }
-
     /// The state at which the command acts, the wanted velocity of P there, and the lead over
     /// the actuators. `imagined` is for the loop's steps that are not commanded, and `applied` the
     /// velocity that P was given in the last tick.
@@ -213,7 +183,7 @@ impl Compensator {
         let (wanted, first) = course.at(&state, tracking, applied)?;
         // The motor acts later than the wheels: the speed is the one that is wanted then. The
         // loop's steps until then are only imagined, so they are those of a copy.
-        imagined.clone_from(tracking);
+        imagined.assign(tracking);
         let (mut later, mut command) = (state, first);
         while later.ahead + 0.5 * course.period < far {
             let (after, given) = course.next(&later, &command, planned(&later));

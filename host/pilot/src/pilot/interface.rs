@@ -85,7 +85,7 @@ pub struct DriveCommand {
 }
 
 /// The result of a tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Output {
     /// The mode after the tick.
     pub mode: Mode,
@@ -153,31 +153,8 @@ impl Output {
     pub fn neutral(mode: Mode) -> Self {
         Self {
             mode,
-            reason: None,
-            estimate: None,
-            covariance: None,
             held: true,
-            drive_time: None,
-            reference: None,
-            point: None,
-            point_velocity: None,
-            actuation: Actuation::default(),
-            turning_round: false,
-            looked_ahead: None,
-            path: None,
-            slowed_by: None,
-            command: None,
-            jog: None,
-            request: None,
-            proved: false,
-            disproved: false,
-            braking_measured: None,
-            preflight: None,
-            setpoint: None,
-            setpoint_refused: None,
-            filtering: Filtering::None,
-            filtered_ticks: 0,
-            tuned: None,
+            ..Self::default()
         }
     }
 }

@@ -123,7 +123,7 @@ impl Pilot {
             pose_time: self.pose_time,
             blind_distance: watches.blind.distance,
             poses: self.estimator.poses(),
-            implausible: self.estimator.implausible_in_a_row(),
+            implausible: self.estimator.implausible_in_a_row,
             imu_time: match self.imu {
                 Imu::Missing => Some(now),
                 Imu::Whole | Imu::Gyro => self.imu_heard,

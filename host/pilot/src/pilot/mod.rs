@@ -146,8 +146,8 @@ impl Pilot {
         let kept = self.kept_tuning(config);
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
-        self.tracking.clone_from(&config.tracking);
-        self.imagined.clone_from(&config.tracking);
+        self.tracking.assign(&config.tracking);
+        self.imagined.assign(&config.tracking);
         self.wanted_point_distance = config.law.point_distance();
         self.keep_tuning(&kept);
         self.governor = config.governor();
@@ -212,7 +212,7 @@ impl Pilot {
         let wheels = self.learning.map_or(sent, |it| it.in_force.wheels(sent));
         self.estimator.send(now, wheels);
         if let Some(compensator) = &mut self.compensator {
-            compensator.commanded(now, wheels);
+            compensator.predictor.commanded(now, wheels);
         }
         let is_too_weak = self.watches.stops.is_too_weak(self.config.braking);
         let disproved = self.proved && (self.supervisor.is_contradicted() || is_too_weak);

@@ -28,8 +28,15 @@ words! {
     }
 }
 
+#[expect(clippy::derivable_impls, reason = "words! marks no default")]
+impl Default for Filtering {
+    fn default() -> Self {
+        Self::None
+    }
+}
+
 /// The filter's state in the pilot.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Safety {
     filter: Option<SafetyFilter>,
     /// What it did in this tick.
@@ -60,10 +67,7 @@ impl Safety {
     pub(super) fn new(filter: Option<&SafetyFilter>) -> Self {
         Self {
             filter: filter.cloned(),
-            filtering: Filtering::None,
-            ticks: 0,
-            ends: None,
-            bends_otherwise: 0.0,
+            ..Self::default()
         }
     }
 
@@ -314,7 +318,7 @@ const SILENCE: f64 = 1.0;
 const PAUSE: f64 = 0.5;
 
 /// The other bodies, and how the car waits for them.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Obstacles {
     /// None if the car does not keep apart from them.
     neighbours: Option<Neighbours>,
@@ -332,10 +336,7 @@ impl Obstacles {
     pub(super) fn new(config: Option<&NeighbourConfig>) -> Self {
         Self {
             neighbours: config.map(|config| Neighbours::new(*config)),
-            sides: NeighbourSides::new(),
-            last_sides: NeighbourSides::new(),
-            pause: 0.0,
-            stood: 0.0,
+            ..Self::default()
         }
     }
 
@@ -393,7 +394,7 @@ impl Obstacles {
     /// A tick in which the car stands before one of them, or not. Why the drive ends, if it has
     /// stood there for too long.
     pub(super) fn stand(&mut self, stands: bool, period: f64) -> Option<Reason> {
-        let patience = self.neighbours.as_ref()?.config().patience;
+        let patience = self.neighbours.as_ref()?.config.patience;
         self.stood = if stands { self.stood + period } else { 0.0 };
         (self.stood > patience).then_some(Reason::NeighbourNear)
     }

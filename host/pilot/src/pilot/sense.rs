@@ -19,41 +19,36 @@ use crate::{
 impl Pilot {
     /// Handles an event; the verdict if it is a pose.
     pub(super) fn handle(&mut self, now: Time, event: &Event) -> Option<PoseVerdict> {
+        self.supervisor.handle(event);
         match event {
             Event::Pose(pose) => return Some(self.handle_pose(pose)),
-            Event::PoseMissing(missing) => self.supervisor.handle_pose_missing(*missing),
             Event::Neighbour(sample) => self.obstacles.handle(sample),
             Event::Board(sample) => self.handle_board(sample),
-            Event::Link(link) => self.supervisor.handle_link(*link),
             Event::Request(request) => self.handle_request(*request),
-            Event::ArmRefused => self.supervisor.handle_arm_refused(),
-            Event::Health(health) => self.supervisor.handle_health(*health),
-            Event::Line(line) => self.supervisor.handle_line(*line),
-            Event::RealTime(state) => self.supervisor.handle_real_time(*state),
             Event::Setpoint(setpoint) => {
                 self.handle_setpoint(|external| external.handle(setpoint, now));
             }
             Event::TrajectoryPiece(piece) => {
                 self.handle_setpoint(|external| external.handle_piece(piece, now));
             }
-            Event::Jog(jog) => {
-                self.supervisor.handle_jog();
-                self.jog = Some(*jog);
-            }
+            Event::Jog(jog) => self.jog = Some(*jog),
             Event::Attitude(sample) => self.watches.attitude.handle(sample, &self.config.watch),
             Event::Proved(proved) => self.proved = *proved,
             Event::Tuning(tuning) => self.tune(tuning),
-            Event::Begin(time) => {
-                self.supervisor.handle_begin();
-                self.begins = Begins::At(*time);
-            }
+            Event::Begin(time) => self.begins = Begins::At(*time),
             Event::Learned(learned) => {
                 if let Some(learning) = &mut self.learning {
                     learning.learned(now, *learned);
                 }
             }
             // The caller has called `reconfigure` before this tick.
-            Event::Reconfigured(_) => {}
+            Event::PoseMissing(_)
+            | Event::Link(_)
+            | Event::ArmRefused
+            | Event::Health(_)
+            | Event::Line(_)
+            | Event::RealTime(_)
+            | Event::Reconfigured(_) => {}
         }
         None
     }
@@ -61,7 +56,6 @@ impl Pilot {
     /// A lost car is taken up elsewhere by the operator's word alone: a program that ends disarms as
     /// well.
     fn handle_request(&mut self, request: PilotRequest) {
-        self.supervisor.handle_request(request);
         match request {
             // One that comes in a drive is without effect: a car that waits goes on to wait.
             _ if self.supervisor.mode().is_underway() => {}
@@ -258,7 +252,7 @@ impl Pilot {
         }
         let speed = estimate.map_or(0.0, |estimate| estimate.speed);
         if let Some(compensator) = &mut self.compensator {
-            compensator.advance(now, speed);
+            compensator.predictor.advance(now, speed);
         }
         let pace = fabs(speed)
             .max(fabs(self.motor_speed))
@@ -394,7 +388,7 @@ impl Pilot {
     /// A person says that the body which the cameras show is the car: see
     /// [`PilotRequest::Carried`].
     pub fn carried(&mut self) {
-        if self.estimator.implausible_in_a_row() > 0 {
+        if self.estimator.implausible_in_a_row > 0 {
             self.estimator.reset();
         }
     }

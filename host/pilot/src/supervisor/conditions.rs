@@ -35,6 +35,13 @@ words! {
     }
 }
 
+#[expect(clippy::derivable_impls, reason = "words! marks no default")]
+impl Default for Mode {
+    fn default() -> Self {
+        Self::Disconnected
+    }
+}
+
 impl Mode {
     /// Whether a drive is underway: the car may move, and no configuration is replaced.
     pub const fn is_underway(self) -> bool {

@@ -44,10 +44,7 @@ pub use reason::Reason;
 
 use singletrack_control::Time;
 
-use crate::event::{
-    Arming, BoardHealth, BoardState, LineHealth, LinkState, PilotRequest, PoseMissing,
-    RealTimeState,
-};
+use crate::event::{Arming, BoardState, Event, PilotRequest, PoseMissing};
 use checks::LatestState;
 
 /// The time between the command to stand and the disarm of a car that the cameras do
@@ -170,26 +167,30 @@ impl Supervisor {
         self.latest.config = config;
     }
 
-    /// The link to the board changed. Unless it is ready, the state of board and line is
-    /// forgotten: the next board may be another one.
-    pub const fn handle_link(&mut self, link: LinkState) {
-        self.latest.set_link(link);
-    }
-
-    /// A status message of the board. A low battery is counted against
-    /// [`SupervisorConfig::min_battery`].
-    pub fn handle_health(&mut self, health: BoardHealth) {
-        self.latest.set_health(health);
-    }
-
-    /// The share of damaged frames was measured.
-    pub const fn handle_line(&mut self, line: LineHealth) {
-        self.latest.line = Some(line);
-    }
-
-    /// The system granted or refused real-time scheduling and locked memory.
-    pub const fn handle_real_time(&mut self, state: RealTimeState) {
-        self.latest.real_time = Some(state);
+    /// Takes what an event says of board, line and system, or what it asks for; all requests are
+    /// judged in the next step. Telemetry and poses count as judged by the caller, see
+    /// [`Self::handle_board`] and [`Self::handle_pose`].
+    pub fn handle(&mut self, event: &Event) {
+        let latest = &mut self.latest;
+        match event {
+            // Unless it is ready, the state of board and line is forgotten: the next board may be
+            // another one.
+            Event::Link(link) => latest.set_link(*link),
+            Event::Health(health) => latest.set_health(*health),
+            Event::Line(line) => latest.line = Some(*line),
+            Event::RealTime(state) => latest.real_time = Some(*state),
+            // It holds until the next accepted pose.
+            Event::PoseMissing(PoseMissing::Untrustworthy) => latest.untrustworthy = true,
+            // It counts only in `Mode::Arming`.
+            Event::ArmRefused => self.heard.refused = true,
+            Event::Request(request) => self.handle_request(*request),
+            // It is too late to arm the car.
+            Event::Begin(_) if !matches!(self.mode, Mode::Driving | Mode::Slowing) => {
+                self.request_stop(Reason::BoardTimeout);
+            }
+            Event::Jog(_) => self.heard.jog = true,
+            _ => {}
+        }
     }
 
     /// Telemetry shows the state of the board's safety machine.
@@ -197,24 +198,12 @@ impl Supervisor {
         self.latest.board = Some(board);
     }
 
-    /// The board refused to arm. It counts only in [`Mode::Arming`].
-    pub const fn handle_arm_refused(&mut self) {
-        self.heard.refused = true;
-    }
-
-    /// A frame of the cameras brought no pose. [`PoseMissing::Untrustworthy`] holds until
-    /// the next accepted pose.
-    pub const fn handle_pose_missing(&mut self, missing: PoseMissing) {
-        self.latest.untrustworthy |= matches!(missing, PoseMissing::Untrustworthy);
-    }
-
     /// The estimator accepted a pose.
     pub const fn handle_pose(&mut self) {
         self.latest.untrustworthy = false;
     }
 
-    /// A request from a person or a program, judged in the next step.
-    pub const fn handle_request(&mut self, request: PilotRequest) {
+    const fn handle_request(&mut self, request: PilotRequest) {
         match request {
             PilotRequest::Arm(arming) => self.heard.arm = Some(arming),
             PilotRequest::Hold => self.heard.hold = true,
@@ -227,18 +216,6 @@ impl Supervisor {
             }
             PilotRequest::EmergencyStop => self.heard.emergency = true,
         }
-    }
-
-    /// The time has come at which an armed car is to begin. It is too late to arm it.
-    pub const fn handle_begin(&mut self) {
-        if !matches!(self.mode, Mode::Driving | Mode::Slowing) {
-            self.request_stop(Reason::BoardTimeout);
-        }
-    }
-
-    /// The operator gave pulses.
-    pub const fn handle_jog(&mut self) {
-        self.heard.jog = true;
     }
 
     const fn request_stop(&mut self, reason: Reason) {

@@ -62,18 +62,14 @@ impl SquareLine {
 
 impl RollOut {
     /// Begins at this speed, m/s.
-    pub(super) const fn begin(speed: f64) -> Self {
+    pub(super) fn begin(speed: f64) -> Self {
+        let mut line = SquareLine::default();
+        line.add(0.0, speed);
         Self {
             highest: speed,
             from: speed,
             way: 0.0,
-            line: SquareLine {
-                count: 1.0,
-                ways: 0.0,
-                ways_squared: 0.0,
-                squares: speed * speed,
-                products: 0.0,
-            },
+            line,
         }
     }
 

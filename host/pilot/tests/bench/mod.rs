@@ -66,6 +66,13 @@ pub(crate) enum Pose {
     Jumped,
 }
 
+/// A geofence that is a square with sides of `width` (m).
+pub(crate) fn square(centre: Position, width: f64, margin: f64) -> Fence {
+    let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)];
+    let corners = corners.map(|(x, y)| centre + width * Velocity::new(x, y));
+    Fence::new(&corners, margin).unwrap()
+}
+
 pub(crate) fn config() -> PilotConfig {
     let vehicle = VehicleParameters::paper();
     PilotConfig {
@@ -92,10 +99,14 @@ pub(crate) fn config() -> PilotConfig {
             ..SupervisorConfig::paper()
         },
         watch: WatchConfig::paper(),
-        fence: Fence::rectangle(Position::origin(), Velocity::new(20.0, 20.0), 0.0).unwrap(),
+        fence: square(Position::origin(), 20.0, 0.0),
         braking: 1.5,
         stop_deceleration: 1.5,
-        compensation: Compensation::off(vehicle),
+        compensation: Compensation {
+            clock: false,
+            actuation: None,
+            vehicle,
+        },
         safety: None,
         neighbours: None,
         tuning: None,

@@ -2,8 +2,8 @@
 
 use singletrack_control::Time;
 use singletrack_pilot::{
-    Arming, BoardHealth, BoardRequest, BoardState, LinkState, Mode, PilotRequest, RealTimeState,
-    Reason, Supervisor, SupervisorConfig,
+    Arming, BoardHealth, BoardRequest, BoardState, Event, LinkState, Mode, PilotRequest,
+    RealTimeState, Reason, Supervisor, SupervisorConfig,
 };
 
 use crate::bench::{Bench, HEALTHY, STANDING_FAILURES, battery, steps};
@@ -25,19 +25,19 @@ fn arming_needs_every_input_once() {
     let mut bench = Bench::unconnected(SupervisorConfig::paper());
     let inputs: [Input; 5] = [
         (Reason::LinkDown, |supervisor| {
-            supervisor.handle_link(LinkState::VersionDiffers);
+            supervisor.handle(&Event::Link(LinkState::VersionDiffers));
         }),
         (Reason::VersionDiffers, |supervisor| {
-            supervisor.handle_link(LinkState::ConfigurationRefused);
+            supervisor.handle(&Event::Link(LinkState::ConfigurationRefused));
         }),
         (Reason::ConfigurationRefused, |supervisor| {
-            supervisor.handle_link(LinkState::Ready);
+            supervisor.handle(&Event::Link(LinkState::Ready));
         }),
         (Reason::BoardBooting, |supervisor| {
             supervisor.handle_board(BoardState::Neutral);
         }),
         (Reason::BatteryUnknown, |supervisor| {
-            supervisor.handle_health(HEALTHY);
+            supervisor.handle(&Event::Health(HEALTHY));
         }),
     ];
     for (reason, give) in inputs {
@@ -50,10 +50,10 @@ fn arming_needs_every_input_once() {
         bench.ask(PilotRequest::Arm(Arming::Unattended)).1,
         Some(Reason::RealTimeUnknown)
     );
-    bench.supervisor.handle_real_time(RealTimeState {
+    bench.supervisor.handle(&Event::RealTime(RealTimeState {
         fifo: false,
         memory_locked: false,
-    });
+    }));
     assert_eq!(bench.step(), (Mode::Ready, None, None));
 }
 
@@ -65,10 +65,10 @@ fn real_time_is_required_only_if_the_configuration_requires_it() {
             ..SupervisorConfig::paper()
         });
         bench.connect();
-        bench.supervisor.handle_real_time(RealTimeState {
+        bench.supervisor.handle(&Event::RealTime(RealTimeState {
             fifo,
             memory_locked,
-        });
+        }));
         let refused = (!(fifo && memory_locked)).then_some(Reason::RealTimeRefused);
         assert_eq!(bench.step().1, refused);
     }
@@ -77,7 +77,7 @@ fn real_time_is_required_only_if_the_configuration_requires_it() {
 #[test]
 fn arming_ends_on_refusal_timeout_disarm_and_emergency_stop() {
     let mut bench = Bench::arming();
-    bench.supervisor.handle_arm_refused();
+    bench.supervisor.handle(&Event::ArmRefused);
     assert_eq!(
         bench.step(),
         (
@@ -206,7 +206,7 @@ fn the_arming_check_never_shows_why_the_last_drive_ended() {
     bench.conditions.imu_still = true;
     bench.ask(PilotRequest::Arm(Arming::Unattended));
     assert_eq!(bench.supervisor.preflight(), None);
-    bench.supervisor.handle_link(LinkState::Down);
+    bench.supervisor.handle(&Event::Link(LinkState::Down));
     bench.step();
     assert_eq!(bench.supervisor.preflight(), Some(Reason::LinkDown));
 }
@@ -281,7 +281,7 @@ fn a_dead_man_switch_that_is_lost_disarms_a_rolling_car_in_the_same_tick() {
     bench.step();
     bench
         .supervisor
-        .handle_request(PilotRequest::Arm(Arming::Held));
+        .handle(&Event::Request(PilotRequest::Arm(Arming::Held)));
     assert_eq!(bench.ask(PilotRequest::Halt), (Mode::Ready, None, None));
     bench.supervisor.fault(Reason::LawSingular, Time(0));
     assert_eq!(bench.ask(PilotRequest::Halt).0, Mode::Fault);
@@ -306,7 +306,7 @@ fn an_operator_who_is_gone_and_a_time_that_is_over_end_a_drive_with_their_reason
         bench.step();
         bench
             .supervisor
-            .handle_request(PilotRequest::Arm(Arming::Held));
+            .handle(&Event::Request(PilotRequest::Arm(Arming::Held)));
         assert_eq!(bench.ask(request).0, Mode::Ready);
         bench.supervisor.fault(Reason::LawSingular, Time(0));
         assert_eq!(bench.ask(request).0, Mode::Fault);

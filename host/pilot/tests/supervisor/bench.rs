@@ -2,8 +2,9 @@
 
 use singletrack_control::Time;
 use singletrack_pilot::{
-    Arming, BoardHealth, BoardRequest, BoardState, Conditions, ImuVerdict, LineHealth, LinkState,
-    Mode, PilotRequest, PoseMissing, RealTimeState, Reason, Supervisor, SupervisorConfig,
+    Arming, BoardHealth, BoardRequest, BoardState, Conditions, Event, ImuVerdict, LineHealth,
+    LinkState, Mode, PilotRequest, PoseMissing, RealTimeState, Reason, Supervisor,
+    SupervisorConfig,
 };
 
 pub(crate) const TICK_NS: u64 = 10_000_000;
@@ -43,7 +44,7 @@ pub(crate) const FAILURES: [Failure; 18] = [
         };
         bench.health = Some(fault);
         // The report of the next tick is the second in a row.
-        bench.supervisor.handle_health(fault);
+        bench.supervisor.handle(&Event::Health(fault));
     }),
     ("an open stop switch", Reason::StopInputOpen, |bench| {
         bench.health = Some(BoardHealth {
@@ -58,24 +59,24 @@ pub(crate) const FAILURES: [Failure; 18] = [
         };
         bench.health = Some(empty);
         // The report of the next tick is the third in a row.
-        bench.supervisor.handle_health(empty);
-        bench.supervisor.handle_health(empty);
+        bench.supervisor.handle(&Event::Health(empty));
+        bench.supervisor.handle(&Event::Health(empty));
     }),
     (
         "damaged frames from the board",
         Reason::LineNoisy,
         |bench| {
-            bench.supervisor.handle_line(LineHealth {
+            bench.supervisor.handle(&Event::Line(LineHealth {
                 to_host: Some(0.51),
                 to_board: None,
-            });
+            }));
         },
     ),
     ("damaged frames to the board", Reason::LineNoisy, |bench| {
-        bench.supervisor.handle_line(LineHealth {
+        bench.supervisor.handle(&Event::Line(LineHealth {
             to_host: Some(0.0),
             to_board: Some(0.51),
-        });
+        }));
     }),
     ("a silent IMU", Reason::ImuSilent, |bench| {
         bench.imu_age_ms = 101;
@@ -99,7 +100,7 @@ pub(crate) const FAILURES: [Failure; 18] = [
     ("untrustworthy cameras", Reason::PoseImplausible, |bench| {
         bench
             .supervisor
-            .handle_pose_missing(PoseMissing::Untrustworthy);
+            .handle(&Event::PoseMissing(PoseMissing::Untrustworthy));
     }),
     ("a long marker loss", Reason::PoseTooOld, |bench| {
         bench.pose_age_ms = 601;
@@ -236,11 +237,11 @@ impl Bench {
     }
 
     pub(crate) fn connect(&mut self) {
-        self.supervisor.handle_real_time(RealTimeState {
+        self.supervisor.handle(&Event::RealTime(RealTimeState {
             fifo: false,
             memory_locked: false,
-        });
-        self.supervisor.handle_link(LinkState::Ready);
+        }));
+        self.supervisor.handle(&Event::Link(LinkState::Ready));
         self.supervisor.handle_board(BoardState::Neutral);
         self.health = Some(HEALTHY);
     }
@@ -249,7 +250,7 @@ impl Bench {
     pub(crate) fn prepare(&mut self) {
         let now = Time(self.conditions.now.0 + TICK_NS);
         if let Some(health) = self.health {
-            self.supervisor.handle_health(health);
+            self.supervisor.handle(&Event::Health(health));
         }
         let ago = |ms: u64| {
             ms.checked_mul(1_000_000)
@@ -271,7 +272,7 @@ impl Bench {
         &mut self,
         request: PilotRequest,
     ) -> (Mode, Option<Reason>, Option<BoardRequest>) {
-        self.supervisor.handle_request(request);
+        self.supervisor.handle(&Event::Request(request));
         self.step()
     }
 

@@ -3,7 +3,8 @@
 
 use singletrack_control::Time;
 use singletrack_pilot::{
-    Arming, BoardRequest, BoardState, LinkState, Mode, PilotRequest, Reason, SupervisorConfig,
+    Arming, BoardRequest, BoardState, Event, LinkState, Mode, PilotRequest, Reason,
+    SupervisorConfig,
 };
 
 use crate::bench::{Bench, DRIVING_FAILURES, FAILURES, steps};
@@ -32,7 +33,9 @@ fn an_earlier_emergency_stop_does_not_clear_a_fault_of_the_law() {
 #[test]
 fn a_configuration_refused_for_an_emergency_stop_has_that_reason() {
     let mut bench = Bench::new();
-    bench.supervisor.handle_link(LinkState::EmergencyStopped);
+    bench
+        .supervisor
+        .handle(&Event::Link(LinkState::EmergencyStopped));
     assert_eq!(
         bench.step(),
         (Mode::Disconnected, Some(Reason::EmergencyStop), None)
@@ -142,7 +145,7 @@ fn a_stop_that_was_not_obeyed_is_cleared_by_a_disarm_of_a_standing_car_only() {
     // A reset of the board, a lost link and a standing car clear nothing.
     bench.supervisor.handle_board(BoardState::Booting);
     assert_eq!(bench.step(), stays);
-    bench.supervisor.handle_link(LinkState::Down);
+    bench.supervisor.handle(&Event::Link(LinkState::Down));
     assert_eq!(bench.step(), stays);
     bench.conditions.stands = true;
     assert_eq!(steps(&mut bench, 5_000), stays);

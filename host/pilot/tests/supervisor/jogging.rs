@@ -1,8 +1,13 @@
 //! Jogging: what it needs, and all its ends.
 
-use singletrack_pilot::{Arming, BoardRequest, BoardState, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, BoardRequest, BoardState, Event, Jog, Mode, PilotRequest, Reason};
 
 use crate::bench::{Bench, FAILURES, HEALTHY, STANDING_FAILURES, TICK_NS, battery, steps};
+
+const JOG: Event = Event::Jog(Jog {
+    servo_us: 1_500,
+    esc_us: 1_500,
+});
 
 fn jogging() -> Bench {
     let mut bench = Bench::new();
@@ -38,7 +43,7 @@ fn only_board_battery_line_and_ticks_matter_before_and_while_jogging() {
         assert_eq!(armed == refused, matters(reason), "{name}: {armed:?}");
 
         let mut bench = jogging();
-        bench.supervisor.handle_jog();
+        bench.supervisor.handle(&JOG);
         let ended = bench.after(failure);
         let stops = (Mode::Idle, Some(reason), Some(BoardRequest::Disarm));
         assert_eq!(ended == stops, matters(reason), "{name}: {ended:?}");
@@ -75,15 +80,15 @@ fn pulses_alone_hold_it_and_0_25_s_without_them_end_it() {
     for held in [false, true] {
         let mut bench = jogging();
         for _ in 0..10 {
-            bench.supervisor.handle_jog();
+            bench.supervisor.handle(&JOG);
             assert_eq!(steps(&mut bench, 250).0, Mode::Jogging);
         }
-        bench.supervisor.handle_jog();
+        bench.supervisor.handle(&JOG);
         assert_eq!(bench.step().0, Mode::Jogging);
         let mut left = (Mode::Jogging, None, None);
         for _ in 0..26 {
             if held {
-                bench.supervisor.handle_request(PilotRequest::Hold);
+                bench.supervisor.handle(&Event::Request(PilotRequest::Hold));
             }
             assert_eq!(left.0, Mode::Jogging);
             left = bench.step();
@@ -102,7 +107,7 @@ fn it_ends_at_once_on_request_without_a_ramp() {
     ] {
         let mut bench = jogging();
         bench.conditions.motor_speed = 0.6;
-        bench.supervisor.handle_jog();
+        bench.supervisor.handle(&JOG);
         let ended = (Mode::Idle, Some(reason), Some(BoardRequest::Disarm));
         assert_eq!(bench.ask(request), ended);
     }
@@ -133,7 +138,7 @@ fn a_board_that_stops_ends_it() {
         ),
     ] {
         let mut bench = jogging();
-        bench.supervisor.handle_jog();
+        bench.supervisor.handle(&JOG);
         bench.supervisor.handle_board(board);
         assert_eq!(bench.step(), (mode, Some(reason), None), "{board:?}");
     }
@@ -142,10 +147,10 @@ fn a_board_that_stops_ends_it() {
 #[test]
 fn a_drive_never_becomes_jogging_and_jogging_never_a_drive() {
     let mut bench = Bench::driving();
-    bench.supervisor.handle_jog();
+    bench.supervisor.handle(&JOG);
     assert_eq!(bench.ask(PilotRequest::Arm(Arming::Jog)).0, Mode::Driving);
     let mut bench = jogging();
-    bench.supervisor.handle_jog();
+    bench.supervisor.handle(&JOG);
     assert_eq!(
         bench.ask(PilotRequest::Arm(Arming::Unattended)).0,
         Mode::Jogging
@@ -185,7 +190,7 @@ fn arming_to_jog_ends_when_the_hand_does_not_hold_it_or_the_wheels_turn() {
     bench.ask(PilotRequest::Arm(Arming::Jog));
     bench.supervisor.handle_board(BoardState::PoweringUp);
     for _ in 0..2_000_000_000 / TICK_NS {
-        bench.supervisor.handle_request(PilotRequest::Hold);
+        bench.supervisor.handle(&Event::Request(PilotRequest::Hold));
         assert_eq!(bench.step().0, Mode::Arming);
     }
     assert_eq!(steps(&mut bench, 520).1, Some(Reason::OperatorGone));
@@ -202,6 +207,6 @@ fn a_disarm_in_the_same_tick_wins_over_a_request_to_jog() {
     let mut bench = Bench::new();
     bench
         .supervisor
-        .handle_request(PilotRequest::Arm(Arming::Jog));
+        .handle(&Event::Request(PilotRequest::Arm(Arming::Jog)));
     assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Ready);
 }

@@ -9,7 +9,7 @@ mod jogging;
 mod stopping;
 
 use singletrack_pilot::{
-    Arming, BoardRequest, BoardState, LineHealth, LinkState, Mode, PilotRequest, Reason,
+    Arming, BoardRequest, BoardState, Event, LineHealth, LinkState, Mode, PilotRequest, Reason,
     SupervisorConfig,
 };
 
@@ -57,10 +57,10 @@ fn every_failure_stops_a_drive_with_its_reason_and_for_good() {
             // The failure is gone: the car stops all the same, and stays stopped.
             bench.connect();
             bench.supervisor.handle_board(BoardState::Driving);
-            bench.supervisor.handle_line(LineHealth {
+            bench.supervisor.handle(&Event::Line(LineHealth {
                 to_host: None,
                 to_board: None,
-            });
+            }));
             bench.supervisor.handle_pose();
             bench.conditions = Bench::new().conditions;
             bench.conditions.commanded_speed = 0.3;
@@ -125,26 +125,26 @@ fn the_reason_of_a_stop_stays_only_while_the_car_settles() {
 #[test]
 fn a_lost_link_clears_the_state_of_the_board() {
     let mut bench = Bench::new();
-    bench.supervisor.handle_line(LineHealth {
+    bench.supervisor.handle(&Event::Line(LineHealth {
         to_host: Some(0.9),
         to_board: Some(0.9),
-    });
+    }));
     assert_eq!(bench.step().1, Some(Reason::LineNoisy));
     bench.health = None;
-    bench.supervisor.handle_link(LinkState::Down);
+    bench.supervisor.handle(&Event::Link(LinkState::Down));
     assert_eq!(bench.step().0, Mode::Disconnected);
-    bench.supervisor.handle_link(LinkState::Ready);
+    bench.supervisor.handle(&Event::Link(LinkState::Ready));
     assert_eq!(bench.step().1, Some(Reason::BoardBooting));
     bench.supervisor.handle_board(BoardState::Neutral);
     assert_eq!(bench.step().1, Some(Reason::BatteryUnknown));
-    bench.supervisor.handle_health(HEALTHY);
+    bench.supervisor.handle(&Event::Health(HEALTHY));
     assert_eq!(bench.step(), (Mode::Ready, None, None));
 }
 
 #[test]
 fn a_repeated_ready_keeps_the_state_of_the_board() {
     let mut bench = Bench::driving();
-    bench.supervisor.handle_link(LinkState::Ready);
+    bench.supervisor.handle(&Event::Link(LinkState::Ready));
     assert_eq!(bench.step(), (Mode::Driving, None, None));
 }
 
@@ -178,10 +178,10 @@ fn a_battery_that_sags_for_two_reports_does_not_end_the_drive() {
 fn battery_and_line_at_their_limits_pass() {
     let mut bench = Bench::new();
     bench.health = battery(6_800);
-    bench.supervisor.handle_line(LineHealth {
+    bench.supervisor.handle(&Event::Line(LineHealth {
         to_host: Some(0.5),
         to_board: Some(0.5),
-    });
+    }));
     assert_eq!(bench.step().0, Mode::Ready);
     let mut bench = Bench::driving();
     bench.health = battery(6_400);

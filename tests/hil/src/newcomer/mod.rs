@@ -17,7 +17,7 @@ use std::{
 };
 
 use serde_json::json;
-use singletrack_commissioning::{Answer, Answers, Question, edit::Edit, report};
+use singletrack_commissioning::{Answer, Answers, Question, edit::Edit};
 use singletrack_onboard::{Hands as _, OnboardCar, Person, Rehearsal};
 use singletrack_sim::{HandCommand, HandMotion, Seen, StartPose};
 
@@ -210,7 +210,7 @@ impl Newcomer {
             .steps
             .iter()
             .filter(|step| step.procedure == procedure && is_done(&step.finding.step))
-            .map(|step| json!({ "time": now, "finding": report::to_json(&step.finding) }))
+            .map(|step| json!({ "time": now, "finding": step.finding }))
             .collect();
         let journal = json!({ "car_id": self.car.simulation.board.car_id, "entries": entries });
         let written = || Failure::system("can't write the journal");

@@ -120,7 +120,7 @@ fn of_record(path: &Path) -> Result<Calibration, Box<dyn Error>> {
             _ => {}
         }
     }
-    Ok(advice(&config, &calibration.estimates()))
+    Ok(advice(&config, &calibration.errors.estimates()))
 }
 
 /// A line a parameter: what the ticks of all drives of a record say, and each half of them.
@@ -146,7 +146,7 @@ fn check(path: &Path, config: &Config) -> Result<String, Box<dyn Error>> {
         for tick in ticks {
             calibration.tick(tick);
         }
-        calibration.estimates()
+        calibration.errors.estimates()
     });
     let row = |[name, whole, first, second]: [String; 4]| {
         format!("{name:<16} {whole:>20} {first:>20} {second:>20}")

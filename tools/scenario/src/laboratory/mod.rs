@@ -192,7 +192,7 @@ impl Laboratory {
             .as_ref()
             .ok_or_else(|| Refused::new(Code::NotReady, "run a tick before the first set-point"))?;
         let command = SetpointCommand::of(keys, last.now)?;
-        self.drive.host().parts().setpoints.pass(&command);
+        self.drive.host().parts.setpoints.pass(&command);
         Ok(())
     }
 

@@ -322,7 +322,7 @@ impl ScenarioRun {
         let calibration = self.calibration.as_mut();
         if let Some(learned) = calibration.and_then(|it| it.tick(&tick.tick)) {
             // Nothing else fills the ring.
-            let _ = self.laboratory.drive.host().learned(learned);
+            let _ = self.laboratory.drive.learned(learned);
         }
     }
 
@@ -423,7 +423,8 @@ impl ScenarioRun {
         let distances = &self.distances;
         let tracking_error = TrackingError::of(distances);
         let later = TrackingError::of(&distances[distances.len() / 2..]);
-        let estimates = self.calibration.as_ref().map(OnlineCalibration::estimates);
+        let estimates = self.calibration.as_ref();
+        let estimates = estimates.map(|it| it.errors.estimates());
         let summary = Summary {
             tracking_rms_m: later.map(|error| error.rms_m),
             calibration: estimates

@@ -90,7 +90,7 @@ impl CalibratedCar {
             seconds: 0.0,
         };
         let Some(start) = self.start(&mut drive)? else {
-            let reason = drive.host().controller().pilot().reason();
+            let reason = drive.controller().pilot.reason();
             outcome.ended = Ended::Alarm(reason.map_or("not-started", Reason::name));
             return Ok(outcome);
         };

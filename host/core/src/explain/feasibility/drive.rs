@@ -96,14 +96,6 @@ impl Ended {
     }
 }
 
-/// The shares of a drive during which limits were reached, 0 to 1.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Saturated {
-    pub(super) steering: f64,
-    pub(super) speed: f64,
-    pub(super) lateral: f64,
-}
-
 /// What the governor makes of a reference.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Governed {
@@ -218,27 +210,27 @@ impl Car {
         }
     }
 
-    /// Follows the reference without a geofence, and measures for how long it is limited.
-    pub(super) fn saturated(mut self) -> Saturated {
+    /// Follows the reference without a geofence; gives the shares of the drive, 0 to 1, in which
+    /// steering, speed and lateral acceleration are at their limits.
+    pub(super) fn saturated(mut self) -> [f64; 3] {
         let limits = self.limits;
         let until = duration(&self.reference);
-        let (mut steps, mut steering, mut speed, mut lateral) = (0.0, 0.0, 0.0, 0.0);
-        while self.time < until {
-            let Some(step) = self.step() else {
-                break;
-            };
-            steps += 1.0;
-            steering += f64::from(step.steering.abs() >= 0.999 * limits.max_steering);
-            speed += f64::from(step.reference.velocity.norm() > 1.001 * limits.max_speed);
+        let (mut steps, mut counts) = (0_u32, [0_u32; 3]);
+        while self.time < until
+            && let Some(step) = self.step()
+        {
+            steps += 1;
             let in_bend = limits.speed_in_bend(step.steering);
-            lateral += f64::from(step.speed.abs() >= 0.999 * in_bend);
+            let at_limit = [
+                step.steering.abs() >= 0.999 * limits.max_steering,
+                step.reference.velocity.norm() > 1.001 * limits.max_speed,
+                step.speed.abs() >= 0.999 * in_bend,
+            ];
+            for (count, is_reached) in counts.iter_mut().zip(at_limit) {
+                *count += u32::from(is_reached);
+            }
         }
-        let share = |count: f64| if steps > 0.0 { count / steps } else { 0.0 };
-        Saturated {
-            steering: share(steering),
-            speed: share(speed),
-            lateral: share(lateral),
-        }
+        counts.map(|count| f64::from(count) / f64::from(steps.max(1)))
     }
 
     /// How far the reference has come, s.

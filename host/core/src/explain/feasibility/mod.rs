@@ -13,14 +13,16 @@ use core::{
     fmt,
 };
 
-use drive::{Car, Ended, Governed, Saturated, SteadyCircle};
+use drive::{Car, Ended, Governed, SteadyCircle};
+use serde::Serialize;
 use singletrack_control::{
     GovernorConfig, Position, Reference, VehicleParameters, Velocity, direction, words, wrap,
 };
 use singletrack_pilot::{Fence, PilotConfig};
+use singletrack_settings::{Section, ValueError};
 
 use crate::config::{
-    Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS, scaled_paper,
+    Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS, scaled_paper, value_at,
 };
 
 pub use unusual::warn_of_unusual;
@@ -59,12 +61,8 @@ words! {
 pub struct Finding {
     /// Whether the car can drive in spite of it.
     pub severity: Severity,
-    /// The key, or the section.
-    pub key: &'static str,
-    /// Its value.
-    pub value: String,
-    /// What is wrong with it, and what to do.
-    pub fix: String,
+    /// Key or section, value, and what is wrong with it and what to do.
+    pub what: ValueError,
 }
 
 impl Finding {
@@ -86,24 +84,19 @@ impl Finding {
     ) -> Self {
         Self {
             severity,
-            key,
-            value: value.to_string(),
-            fix: fix.into(),
+            what: ValueError::new(key, value, fix),
         }
     }
 }
 
 impl fmt::Display for Finding {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            key, value, fix, ..
-        } = self;
-        write!(formatter, "{key} is {value}: {fix}")
+        self.what.fmt(formatter)
     }
 }
 
 /// Where a car stands with straight wheels: its centre of mass, and its heading.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stand {
     /// Position of the centre of mass, in m.
     pub x_m: f64,
@@ -249,13 +242,12 @@ fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
         findings.push(Finding::warning(key, value, fix));
     }
     warn_of_left_out(&config.vehicle, findings);
-    if is_example("fence", &toml::Value::try_from(&config.fence).ok()) {
+    if is_example(config, "fence") {
         let (key, value) = ("fence.braking_m_s2", config.fence.braking_m_s2);
         let fix = "this is the example's; let your car roll out and measure it: the fence and the \
                    watch of every stop rest on it";
         findings.push(Finding::warning(key, value, fix));
     }
-    let board = toml::Value::try_from(config.board).ok();
     for (key, fix) in [
         (
             "board.servo",
@@ -273,12 +265,7 @@ fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
              distance and count the pulses",
         ),
     ] {
-        let written = key
-            .split('.')
-            .skip(1)
-            .try_fold(board.as_ref(), |at, name| Some(at?.get(name)))
-            .flatten();
-        if is_example(key, &written.cloned()) {
+        if is_example(config, key) {
             findings.push(Finding::warning(key, "the example's", fix));
         }
     }
@@ -303,19 +290,21 @@ fn warn_of_left_out(vehicle: &VehicleParameters, findings: &mut Vec<Finding>) {
 }
 
 /// Whether every value of the section that has an example is that example.
-fn is_example(section: &str, written: &Option<toml::Value>) -> bool {
-    let declared = SECTIONS.iter().find(|declared| declared.name == section);
-    declared
-        .zip(written.as_ref())
-        .is_some_and(|(declared, written)| {
-            let mut examples = declared
-                .keys
-                .iter()
-                .filter_map(|key| Some((key.name, (key.example)()?)))
-                .peekable();
-            examples.peek().is_some()
-                && examples.all(|(name, example)| written.get(name) == Some(&example))
+fn is_example(config: &Config, section: &str) -> bool {
+    section_of(config, section).is_some_and(|(section, written)| {
+        let mut keys = section.keys.iter();
+        keys.all(|key| {
+            (key.example)().is_none_or(|example| written.get(key.name) == Some(&example))
         })
+    })
+}
+
+/// The declaration of a section, and what is written in it.
+fn section_of(config: &Config, name: &str) -> Option<(&'static Section, toml::Value)> {
+    let section = SECTIONS.iter().find(|section| section.name == name)?;
+    let whole = toml::Value::try_from(config).ok()?;
+    let written = value_at(&whole, name)?.clone();
+    Some((section, written))
 }
 
 /// Tells what the governor makes of the reference.
@@ -382,31 +371,17 @@ fn judge_saturation(pilot: &PilotConfig, vehicle: &VehicleParameters, findings: 
     let Some(start) = starts_on(&pilot.reference, pilot, vehicle).next() else {
         return;
     };
-    let Saturated {
-        steering,
-        speed,
-        lateral,
-    } = Car::new(pilot, vehicle, start).saturated();
-    for (share, key, value, what) in [
+    let limits = &pilot.limits;
+    let shares = Car::new(pilot, vehicle, start).saturated();
+    for (share, (key, value, what)) in shares.into_iter().zip([
+        ("limits.max_steering_rad", limits.max_steering, "steering"),
+        ("limits.max_speed_m_s", limits.max_speed, "speed"),
         (
-            steering,
-            "limits.max_steering_rad",
-            pilot.limits.max_steering,
-            "steering",
-        ),
-        (
-            speed,
-            "limits.max_speed_m_s",
-            pilot.limits.max_speed,
-            "speed",
-        ),
-        (
-            lateral,
             "limits.max_lateral_acceleration_m_s2",
-            pilot.limits.max_lateral_acceleration,
+            limits.max_lateral_acceleration,
             "lateral acceleration",
         ),
-    ] {
+    ]) {
         let severity = match share {
             share if share > SATURATED_ERROR => Severity::Impossible,
             share if share > SATURATED_WARNING => Severity::Warning,

@@ -2,8 +2,8 @@
 
 use singletrack_control::GRAVITY;
 
-use super::Finding;
-use crate::config::{Config, LawKind, OuterLoopSection, SECTIONS};
+use super::{Finding, section_of};
+use crate::config::{Config, LawKind, OuterLoopSection};
 
 /// The limit of a watch or a gate over its default beyond which it sees little.
 const WIDE: f64 = 5.0;
@@ -95,17 +95,10 @@ fn warn_of_wide(
     config: &Config,
     warn: &mut impl FnMut(&'static str, String, String),
 ) {
-    let Ok(mut values) = toml::Value::try_from(config) else {
+    let Some((section, values)) = section_of(config, name) else {
         return;
     };
-    for part in name.split('.') {
-        let Some(inner) = values.get(part) else {
-            return;
-        };
-        values = inner.clone();
-    }
-    let keys = SECTIONS.iter().filter(|section| section.name == name);
-    for key in keys.flat_map(|section| section.keys) {
+    for key in section.keys {
         let number =
             |value: &toml::Value| value.as_float().or(value.as_integer().map(|n| n as f64));
         let value = values.get(key.name).and_then(number);

@@ -20,8 +20,8 @@ use clap::Args;
 use serde_json::json;
 use singletrack_api::{Request, Setpoint, ask};
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, PlotKind, Question,
-    Refused, edit::Edit,
+    Answer, Attendance, Bench, Interrupted, Jog, Observation, Plot, PlotKind, Question, Refused,
+    edit::Edit,
 };
 use singletrack_control::{Position, Velocity};
 use singletrack_core::Config;
@@ -229,8 +229,8 @@ impl Bench for LiveBench {
         self.interrupted.clone()
     }
 
-    fn show(&mut self, live: &Live<'_>) {
-        self.terminal.show(live);
+    fn show(&mut self, text: &str, done: f64) {
+        self.terminal.show(text, done);
     }
 
     fn plot(&mut self, plot: &Plot) {

@@ -170,7 +170,7 @@ fn write_page(
         "time": now.to_string(),
         "car_id": about.car_id,
         "configuration": format!("{configuration:016x}"),
-        "findings": findings.iter().map(report::to_json).collect::<Vec<_>>(),
+        "findings": findings,
     });
     replace(
         &folder.join(format!("{name}.json")),
@@ -252,7 +252,7 @@ impl SessionJournal {
             eprintln!("  {}", report::line(parameter));
         }
         if self.json {
-            println!("{}", report::to_json(finding));
+            println!("{}", json!(finding));
         }
     }
 }

@@ -7,7 +7,7 @@ use std::{
 
 use indicatif::ProgressBar;
 use serde_json::{Value, json};
-use singletrack_commissioning::{Answer, Answers, Live, Question};
+use singletrack_commissioning::{Answer, Answers, Question};
 
 use crate::{
     operator::terminal::{RawTerminal, read_now},
@@ -67,13 +67,13 @@ impl Terminal {
         Ok(())
     }
 
-    pub(super) fn show(&self, live: &Live<'_>) {
+    pub(super) fn show(&self, text: &str, done: f64) {
         if self.bar.is_finished() {
             self.bar.reset();
         }
         self.bar
-            .set_position((live.done.clamp(0.0, 1.0) * 1_000.0) as u64);
-        self.bar.set_message(live.text.to_owned());
+            .set_position((done.clamp(0.0, 1.0) * 1_000.0) as u64);
+        self.bar.set_message(text.to_owned());
     }
 
     /// Puts a question; the answer is then read with [`Terminal::answer`].
