@@ -3,7 +3,7 @@
 use singletrack_control::{InertialSample, Time};
 use singletrack_pilot::{BoardSample, BoardState};
 
-use super::log::Log;
+use super::{log::Log, samples::Sample};
 
 /// The samples of the board, in the order of time.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,50 +17,44 @@ pub(super) struct BoardSamples {
 impl BoardSamples {
     /// A sample for each one of the IMU; of a log without an IMU, for each one of the motor.
     pub(super) fn new(log: &Log) -> Self {
-        let state = |time_ns| match log.is_driving(time_ns) {
-            true => BoardState::Driving,
-            false => BoardState::Neutral,
+        let rows: Vec<_> = match &log.inertial {
+            Some(inertial) => {
+                let samples = inertial.resampled().into_iter();
+                let row =
+                    |it: Sample<3>| (it.time_ns, Some(it.values), log.motor_speed.at(it.time_ns));
+                samples.map(row).collect()
+            }
+            None => {
+                let samples = log.motor_speed.resampled().into_iter();
+                samples
+                    .map(|it| (it.time_ns, None, Some(it.values)))
+                    .collect()
+            }
         };
-        let Some(inertial) = &log.inertial else {
-            let samples = log.motor_speed.resampled();
-            let samples = samples.iter().map(|sample| {
-                let [motor_speed] = sample.values;
-                BoardSample {
-                    time: Time(sample.time_ns),
-                    inertial: None,
-                    motor_speed,
-                    state: state(sample.time_ns),
-                }
-            });
-            return Self {
-                samples: samples.collect(),
-                without_motor_speed: 0,
-            };
-        };
-        let mut without_motor_speed = 0;
-        let mut samples = Vec::new();
-        for sample in inertial.resampled() {
-            let Some([motor_speed]) = log.motor_speed.at(sample.time_ns) else {
-                without_motor_speed += 1;
-                continue;
-            };
-            let [forward_acceleration, left_acceleration, yaw_rate] = sample.values;
-            let time = Time(sample.time_ns);
-            samples.push(BoardSample {
+        let sample = |(time_ns, inertial, motor): &(u64, Option<[f64; 3]>, Option<[f64; 1]>)| {
+            let time = Time(*time_ns);
+            let [motor_speed] = (*motor)?;
+            let inertial = inertial.map(|[forward, left, yaw_rate]| InertialSample {
                 time,
-                inertial: Some(InertialSample {
-                    time,
-                    yaw_rate,
-                    forward_acceleration,
-                    left_acceleration,
-                }),
-                motor_speed,
-                state: state(sample.time_ns),
+                yaw_rate,
+                forward_acceleration: forward,
+                left_acceleration: left,
             });
-        }
+            let state = match log.is_driving(*time_ns) {
+                true => BoardState::Driving,
+                false => BoardState::Neutral,
+            };
+            Some(BoardSample {
+                time,
+                inertial,
+                motor_speed,
+                state,
+            })
+        };
+        let samples: Vec<_> = rows.iter().filter_map(sample).collect();
         Self {
+            without_motor_speed: (rows.len() - samples.len()) as u64,
             samples,
-            without_motor_speed,
         }
     }
 }

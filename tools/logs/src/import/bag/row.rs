@@ -1,15 +1,15 @@
 //! Messages of a bag as rows.
 
-use std::{borrow::Cow, path::Path};
+use std::path::Path;
 
 use super::{Seconds, wanted::Sources};
 use crate::import::{
     log::ImportError,
-    row::{self, Place},
+    row::{self, Cell, Place, Row as _},
 };
 
 /// A message, as a source wants it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Entry {
     pub(super) source: usize,
     /// Its number in the topic, from 1.
@@ -18,8 +18,8 @@ pub(super) struct Entry {
     pub(super) receive_ns: u64,
     /// Its time, in ns since 1970.
     pub(super) stamp_ns: u64,
-    /// The first one of its values.
-    pub(super) values: usize,
+    /// Its fields; `None` where an element of a list is not there.
+    pub(super) values: Vec<Option<f64>>,
 }
 
 impl Entry {
@@ -53,16 +53,7 @@ pub(super) fn message_error(
 pub(super) struct Row<'a> {
     pub(super) path: &'a Path,
     pub(super) sources: &'a Sources,
-    pub(super) entry: Entry,
-    /// Those of all messages; `None` where an element of a list is not there.
-    pub(super) values: &'a [Option<f64>],
-}
-
-impl Row<'_> {
-    fn value(&self, place: Place) -> Option<f64> {
-        let value = self.values.get(self.entry.values + place.index);
-        value.copied().flatten()
-    }
+    pub(super) entry: &'a Entry,
 }
 
 impl row::Row for Row<'_> {
@@ -70,36 +61,20 @@ impl row::Row for Row<'_> {
         place.source == self.entry.source
     }
 
-    fn is_empty(&self, place: Place) -> bool {
-        self.value(place).is_none()
-    }
-
-    fn text(&self, place: Place) -> Cow<'_, str> {
-        let value = self.value(place).map(|value| value.to_string());
-        Cow::Owned(value.unwrap_or_default())
-    }
-
-    fn number(&self, place: Place) -> Result<f64, ImportError> {
-        Ok(self.value(place).unwrap_or(f64::NAN))
+    fn cell(&self, place: Place) -> Cell<'_> {
+        let value = self.entry.values.get(place.index).copied().flatten();
+        value.map_or(Cell::Empty, Cell::Number)
     }
 
     fn wrong(&self, place: Place, expected: &str) -> ImportError {
         let source = self.sources.sources.get(place.source);
         let field = source.and_then(|source| source.fields.get(place.index));
         let field = field.map_or("", |field| &field.text);
-        let value = self.value(place).unwrap_or(f64::NAN);
+        let value = self.number(place).unwrap_or(f64::NAN);
         let why = format!(
             ", field {field:?}: {value} is not {expected}: leave the time of the message out of the bag \
              with `ros2 bag convert`"
         );
         self.entry.error(self.path, self.sources, &why)
-    }
-
-    fn flag(&self, place: Place) -> Result<bool, ImportError> {
-        let number = self.number(place)?;
-        match number.is_nan() {
-            false => Ok(number != 0.0),
-            true => Err(self.wrong(place, "a number, true or false")),
-        }
     }
 }

@@ -1,7 +1,6 @@
 //! The cells of a row, by the places of their columns.
 
 use std::{
-    borrow::Cow,
     fs::File,
     io::{self, BufReader, Read as _, Seek as _, SeekFrom},
     path::Path,
@@ -171,36 +170,13 @@ impl row::Row for Row<'_> {
         place.source == self.table.source
     }
 
-    fn is_empty(&self, place: Place) -> bool {
-        self.cell(place).is_empty()
-    }
-
-    fn text(&self, place: Place) -> Cow<'_, str> {
-        Cow::Borrowed(self.cell(place))
-    }
-
-    fn number(&self, place: Place) -> Result<f64, ImportError> {
-        match self.cell(place) {
-            "" => Ok(f64::NAN),
-            cell => cell.parse().map_err(|_| self.wrong(place, "a number")),
-        }
+    fn cell(&self, place: Place) -> row::Cell<'_> {
+        row::Cell::of(self.cell(place))
     }
 
     fn wrong(&self, place: Place, expected: &str) -> ImportError {
         let fix = comma_fix(self.cell(place)).unwrap_or("correct the cell or remove the row");
         self.error(place, &format!(" is not {expected}: {fix}"))
-    }
-
-    fn flag(&self, place: Place) -> Result<bool, ImportError> {
-        let cell = self.cell(place);
-        match cell.to_ascii_lowercase().as_str() {
-            "true" => Ok(true),
-            "false" => Ok(false),
-            _ => match cell.parse::<f64>() {
-                Ok(number) if !number.is_nan() => Ok(number != 0.0),
-                _ => Err(self.wrong(place, "a number, true or false")),
-            },
-        }
     }
 }
 
