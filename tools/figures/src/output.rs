@@ -42,6 +42,18 @@ pub fn write(path: &Path, text: &str) -> Result<(), WriteError> {
     fs::write(path, text).map_err(WriteError::of(path))
 }
 
+/// Writes a file into a folder, which is made if it is not there. Returns its path.
+///
+/// # Errors
+///
+/// When it can't be written.
+pub fn write_into(folder: &Path, name: &str, text: &str) -> Result<PathBuf, WriteError> {
+    make_folder(folder)?;
+    let path = folder.join(name);
+    write(&path, text)?;
+    Ok(path)
+}
+
 /// Prints a text as it is. The reader of a pipe may close it at any time.
 ///
 /// # Errors

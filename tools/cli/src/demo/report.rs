@@ -4,6 +4,7 @@ use std::error::Error;
 
 use serde::Serialize;
 use singletrack_figures::{
+    figure::Figure,
     output,
     plot::{
         self, FigureKind, PlotError, REPORT, Record, TruthSample, write_animation, write_figures,
@@ -107,10 +108,11 @@ pub(super) fn plot(args: &DemoArgs, driven: &Drive) -> Result<(), PlotError> {
     let (number, drive) = record.choose(None)?;
     let truth = true_samples(driven, drive);
     if let Some(drive) = record.recording.drives.get_mut(number - 1) {
-        drive.truth = Some(truth);
+        drive.truth = truth;
     }
     let (number, drive) = record.choose(Some(number))?;
-    write_figures(drive, &FigureKind::ALL, &args.out.join(FIGURES))?;
+    let (figures, _) = plot::draw(drive, FigureKind::ALL);
+    write_figures(&figures, &args.out.join(FIGURES), Figure::to_svg)?;
     write_report(&record, number, drive, &args.out)?;
     write_animation(&record, drive, &args.out)?;
     Ok(())

@@ -1,14 +1,11 @@
 //! The drives in a record: inputs and outputs of their ticks, in SI units, over
 //! the time since the first driving tick.
 
-use std::sync::Arc;
-
 use singletrack_control::Time;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord, seconds_since};
 
-use super::sample::{TruthSample, lost_markers};
-use crate::figure::Column;
+use super::sample::{TruthSample, distance, lost_markers};
 
 pub use super::sample::{BoardPoint, TickSample};
 
@@ -60,13 +57,9 @@ pub struct Drive {
     pub configuration: Option<u32>,
     /// The mode that the drive led to, and why; none if the record ends before.
     pub ended: Option<(Mode, Option<Reason>)>,
-    /// Ground truth, if the car is simulated.
-    pub truth: Option<Vec<TruthSample>>,
+    /// Ground truth; empty unless the car is simulated.
+    pub truth: Vec<TruthSample>,
 }
-
-/// Ticks farther apart than this were not neighbours, in s: a line between them
-/// would be invented.
-const GAP: f64 = 0.25;
 
 impl Recording {
     /// Takes in the next entry of the record.
@@ -116,7 +109,7 @@ impl Recording {
                 board: Vec::new(),
                 configuration: self.configuration,
                 ended: None,
-                truth: None,
+                truth: Vec::new(),
             });
         }
         if let Some(drive) = self.open_drive() {
@@ -165,6 +158,7 @@ impl Drive {
             yaw: of_estimate(|estimate| estimate.yaw),
             point,
             reference: pair(reference.and_then(|reference| reference.position)),
+            nominal: [f64::NAN; 2],
             point_velocity: pair(output.point_velocity),
             commanded_speed: output.actuation.speed,
             steering: output.actuation.steering,
@@ -226,65 +220,30 @@ impl Drive {
         driving.map_or(0.0, |tick| tick.time)
     }
 
-    /// A number for each tick, with a gap where ticks are missing.
-    pub fn column(&self, value: impl Fn(&TickSample) -> f64) -> Column {
-        self.spread(self.ticks.iter().map(value))
-    }
-
-    /// The same for given numbers, one for each tick.
-    pub fn spread(&self, values: impl IntoIterator<Item = f64>) -> Column {
-        with_gaps(self.ticks.iter().map(|tick| tick.time), values)
-    }
-
-    /// A number for each of the board's samples, with a gap where samples are missing.
-    pub fn board_column(&self, value: impl Fn(&BoardPoint) -> f64) -> Column {
-        let times = self.board.iter().map(|sample| sample.time);
-        with_gaps(times, self.board.iter().map(value))
-    }
-
-    /// A number for each sample of the ground truth; empty without it.
-    pub fn truth_column(&self, value: impl Fn(&TruthSample) -> f64) -> Column {
-        self.spread_truth(self.truth.iter().flatten().map(value))
-    }
-
-    /// The same for given numbers, one for each sample of the ground truth.
-    pub fn spread_truth(&self, values: impl IntoIterator<Item = f64>) -> Column {
-        with_gaps(
-            self.truth.iter().flatten().map(|sample| sample.time),
-            values,
-        )
-    }
-
-    /// Where P should be at each tick, in m: the reference, or for a reference that
+    /// Sets where P should be at each tick: the reference, or for a reference that
     /// is a velocity alone the integral of the velocity that was commanded, from
     /// where P was at first. Not a number once the car no longer follows.
-    pub fn nominal(&self) -> Vec<[f64; 2]> {
-        if self.has_positions() {
-            return self.ticks.iter().map(|tick| tick.reference).collect();
+    pub(super) fn set_nominal(&mut self) {
+        let (has_positions, is_estimated) = (self.has_positions(), self.is_estimated());
+        let mut before: Option<TickSample> = None;
+        for tick in &mut self.ticks {
+            if has_positions {
+                tick.nominal = tick.reference;
+                continue;
+            }
+            if !is_estimated || !matches!(tick.mode, Mode::Driving | Mode::Slowing) {
+                continue;
+            }
+            tick.nominal = before.map_or(tick.point, |before| {
+                let elapsed = tick.time - before.time;
+                // Nothing is commanded while the car slows down blindly.
+                let velocity = |it: f64| if it.is_finite() { it } else { 0.0 };
+                [0, 1].map(|axis: usize| {
+                    before.nominal[axis] + elapsed * velocity(before.point_velocity[axis])
+                })
+            });
+            before = Some(*tick);
         }
-        let mut nominal = [f64::NAN; 2];
-        let mut before: Option<&TickSample> = None;
-        let is_estimated = self.is_estimated();
-        self.ticks
-            .iter()
-            .map(|tick| {
-                if !is_estimated || !matches!(tick.mode, Mode::Driving | Mode::Slowing) {
-                    return [f64::NAN; 2];
-                }
-                match before {
-                    None => nominal = tick.point,
-                    Some(before) => {
-                        let elapsed = tick.time - before.time;
-                        for (nominal, velocity) in nominal.iter_mut().zip(before.point_velocity) {
-                            // Nothing is commanded while the car slows down blindly.
-                            *nominal += elapsed * if velocity.is_finite() { velocity } else { 0.0 };
-                        }
-                    }
-                }
-                before = Some(tick);
-                nominal
-            })
-            .collect()
     }
 
     /// Whether the reference is a position.
@@ -292,36 +251,22 @@ impl Drive {
         self.ticks.iter().any(|tick| tick.reference[0].is_finite())
     }
 
-    /// How far P is from where it should be at each tick, in m.
-    pub fn tracking_error(&self) -> Vec<f64> {
-        let nominal = self.nominal();
-        let pairs = self.ticks.iter().zip(nominal);
-        pairs
-            .map(|(tick, nominal)| distance(tick.point, nominal))
-            .collect()
-    }
-
-    /// How far the true P is from where it should be, at each moment of the truth, in
-    /// m; empty without ground truth.
-    pub fn true_errors(&self) -> Vec<f64> {
-        let nominal = self.nominal();
-        let should = |time: f64| {
-            let after = self.ticks.partition_point(|tick| tick.time < time);
-            let before = after.saturating_sub(1);
-            let (one, other) = (self.ticks.get(before)?, self.ticks.get(after)?);
-            let elapsed = other.time - one.time;
-            let part = if elapsed > 0.0 {
-                (time - one.time) / elapsed
-            } else {
-                0.0
-            };
-            let (from, to) = (nominal.get(before)?, nominal.get(after)?);
-            Some([0, 1].map(|axis: usize| from[axis] + part * (to[axis] - from[axis])))
+    /// How far the true P is from where it should be at that moment, in m.
+    pub fn true_error(&self, sample: &TruthSample) -> f64 {
+        let after = self.ticks.partition_point(|tick| tick.time < sample.time);
+        let before = self.ticks.get(after.saturating_sub(1));
+        let Some((one, other)) = before.zip(self.ticks.get(after)) else {
+            return f64::NAN;
         };
-        let truth = self.truth.iter().flatten();
-        truth
-            .map(|sample| distance(sample.point, should(sample.time).unwrap_or([f64::NAN; 2])))
-            .collect()
+        let elapsed = other.time - one.time;
+        let part = if elapsed > 0.0 {
+            (sample.time - one.time) / elapsed
+        } else {
+            0.0
+        };
+        let (from, to) = (one.nominal, other.nominal);
+        let nominal = [0, 1].map(|axis: usize| from[axis] + part * (to[axis] - from[axis]));
+        distance(sample.point, nominal)
     }
 
     /// Whether the lateness of every tick is zero: time was virtual, or the log does not have it.
@@ -335,28 +280,6 @@ impl Drive {
     }
 }
 
-/// From one point to another; not a number if one of them is none.
-pub fn distance(one: [f64; 2], other: [f64; 2]) -> f64 {
-    let ([x, y], [other_x, other_y]) = (one, other);
-    (x - other_x).hypot(y - other_y)
-}
-
 fn pair<V: Into<[f64; 2]>>(vector: Option<V>) -> [f64; 2] {
     vector.map_or([f64::NAN; 2], Into::into)
-}
-
-fn with_gaps(
-    times: impl IntoIterator<Item = f64>,
-    values: impl IntoIterator<Item = f64>,
-) -> Column {
-    let mut column = Vec::new();
-    let mut before: Option<f64> = None;
-    for (time, value) in times.into_iter().zip(values) {
-        if before.is_some_and(|before| time - before > GAP) {
-            column.push(f64::NAN);
-        }
-        before = Some(time);
-        column.push(value);
-    }
-    Arc::from(column)
 }

@@ -82,6 +82,7 @@ impl Record {
                 let [x, y] = tick.point;
                 tick.point = [x - aside * tick.yaw.cos(), y - aside * tick.yaw.sin()];
             }
+            drive.set_nominal();
         }
         if let Some(aside) = aside.into_iter().find(|aside| *aside != 0.0) {
             self.notes.push(format!(

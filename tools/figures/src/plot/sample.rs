@@ -38,6 +38,8 @@ pub struct TickSample {
     pub point: [f64; 2],
     /// Where P should be, in m; not a number for a reference that is a velocity alone.
     pub reference: [f64; 2],
+    /// Where P should be, in m: the reference, or the integral of one that is a velocity alone.
+    pub nominal: [f64; 2],
     /// The velocity commanded of P, in m/s.
     pub point_velocity: [f64; 2],
     /// Speed of G that was asked for, after limits, in m/s.
@@ -60,6 +62,13 @@ pub struct TickSample {
     pub poses_missing: u32,
 }
 
+impl TickSample {
+    /// How far P is from where it should be, in m.
+    pub fn error(&self) -> f64 {
+        distance(self.point, self.nominal)
+    }
+}
+
 /// Measurements of the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoardPoint {
@@ -69,6 +78,36 @@ pub struct BoardPoint {
     pub motor_speed: f64,
     /// Yaw rate by the gyro, in rad/s; not a number without a new sample.
     pub yaw_rate: f64,
+}
+
+/// What is plotted over its time.
+pub(super) trait Sample {
+    /// Since the first driving tick, in s.
+    fn time(&self) -> f64;
+}
+
+impl Sample for TickSample {
+    fn time(&self) -> f64 {
+        self.time
+    }
+}
+
+impl Sample for BoardPoint {
+    fn time(&self) -> f64 {
+        self.time
+    }
+}
+
+impl Sample for TruthSample {
+    fn time(&self) -> f64 {
+        self.time
+    }
+}
+
+/// From one point to another; not a number if one of them is none.
+pub(super) fn distance(one: [f64; 2], other: [f64; 2]) -> f64 {
+    let ([x, y], [other_x, other_y]) = (one, other);
+    (x - other_x).hypot(y - other_y)
 }
 
 /// How many usual intervals between new poses may pass: one tick without a pose is
@@ -138,6 +177,7 @@ mod tests {
                 yaw: 0.0,
                 point: [0.0; 2],
                 reference: [0.0; 2],
+                nominal: [0.0; 2],
                 point_velocity: [0.0; 2],
                 commanded_speed: 0.0,
                 steering: 0.0,

@@ -25,14 +25,11 @@ const MOST_LOG_LINES: usize = 2_000;
 
 /// The report of a drive of a record; `number` counts from 1.
 pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
-    let mut figures = Vec::new();
-    let mut missing = Vec::new();
-    for kind in FigureKind::of(drive) {
-        match kind.draw(drive) {
-            Ok(figure) => figures.push((kind, figure)),
-            Err(why) => missing.push(format!("There is no figure {}: {why}.", kind.name())),
-        }
-    }
+    let (figures, missing) = super::draw(drive, FigureKind::of(drive));
+    let missing = missing.into_iter();
+    let mut missing: Vec<String> = missing
+        .map(|(kind, why)| format!("There is no figure {}: {why}.", kind.name()))
+        .collect();
     let name = record
         .path
         .file_name()
@@ -79,10 +76,10 @@ fn subtitle(drive: &Drive) -> String {
     format!(
         "A drive of {:.1} s. Times are since its first driving tick; {}.",
         drive.duration(),
-        if drive.truth.is_some() {
-            "ground truth is shown because the car is simulated"
-        } else {
+        if drive.truth.is_empty() {
             "all that is shown comes from the record"
+        } else {
+            "ground truth is shown because the car is simulated"
         }
     )
 }
