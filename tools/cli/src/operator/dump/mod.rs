@@ -233,12 +233,12 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     };
     // A port may reset its board when it is opened. A record says which times it has.
     if !matches!(place, Place::Record(_)) {
-        range.check_order(None)?;
+        range.check_order()?;
     }
     let mut filter = Filter::new(kinds, &args.conditions)?;
     let mut source = open(args, &place, kinds)?;
     let source = source.as_mut();
-    filter.range = range.since(source, &place.to_string())?;
+    filter.range = range.since(&source.times(), &place.to_string())?;
     let end = args.duration.map(|duration| Instant::now() + duration);
     let interrupt = if args.stats {
         Interrupt::listen()?

@@ -4,7 +4,7 @@ use std::{fmt, str::FromStr};
 
 use jiff::Timestamp;
 
-use super::source::{Source, Span};
+use super::source::Times;
 
 /// A time within a record.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,20 +86,18 @@ fn wall_ns(text: &str) -> Option<i64> {
     i64::try_from(time.as_nanosecond()).ok()
 }
 
-impl fmt::Display for Span {
-    /// The seconds, and the same times on the wall.
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let wall = |ns: i64| {
-            let start_ns = i64::try_from(self.start_wall_ns).unwrap_or(i64::MAX);
-            // To a millisecond, as the seconds.
-            Moment::WallNs(start_ns.saturating_add(ns) / 1_000_000 * 1_000_000)
-        };
-        let [first_s, last_s] = [self.first_ns, self.last_ns].map(|ns| ns as f64 / 1e9);
-        let [first, last] = [self.first_ns, self.last_ns].map(wall);
-        write!(
-            formatter,
+impl Times {
+    /// The times of the first and the last row in seconds, and the same times on the wall.
+    fn span(&self) -> Option<String> {
+        let [first_ns, last_ns] = self.span_ns?;
+        let start_ns = i64::try_from(self.start_wall_ns?).unwrap_or(i64::MAX);
+        // To a millisecond, as the seconds.
+        let wall = |ns| Moment::WallNs(start_ns.saturating_add(ns) / 1_000_000 * 1_000_000);
+        let [first_s, last_s] = [first_ns, last_ns].map(|ns| ns as f64 / 1e9);
+        let (first, last) = (wall(first_ns), wall(last_ns));
+        Some(format!(
             "{first_s:.3} s to {last_s:.3} s ({first} to {last})"
-        )
+        ))
     }
 }
 
@@ -112,9 +110,9 @@ pub(super) struct Range {
 
 impl Range {
     /// Refuses a range that ends before it begins, as far as that is known without the source.
-    pub(super) fn check_order(self, span: Option<Span>) -> Result<(), String> {
+    pub(super) fn check_order(self) -> Result<(), String> {
         match (self.from, self.to) {
-            (Some(from), Some(to)) if from.is_after(to) => Err(backwards(from, to, span)),
+            (Some(from), Some(to)) if from.is_after(to) => Err(backwards(from, to, "")),
             _ => Ok(()),
         }
     }
@@ -122,49 +120,45 @@ impl Range {
     /// The range in ns since the start of the source. One without an entry of the source is refused.
     pub(super) fn since(
         self,
-        source: &dyn Source,
+        times: &Times,
         name: &str,
     ) -> Result<(Option<i64>, Option<i64>), String> {
-        let span = source.span();
-        self.check_order(span)?;
-        let start_wall_ns = source.start_wall_ns();
-        let since =
-            |moment: Option<Moment>, option: &str, is_outside: &dyn Fn(i64, Span) -> bool| {
-                let Some(moment) = moment else {
-                    return Ok(None);
-                };
-                let Some(ns) = moment.since(start_wall_ns) else {
-                    return Err(format!(
-                        "{name} holds no wall time: give --{option} in seconds since its start"
-                    ));
-                };
-                match span {
-                    Some(span) if is_outside(ns, span) => Err(format!(
-                        "--{option} {moment} leaves nothing of {name}: its entries are from {span}"
-                    )),
-                    _ => Ok(Some(ns)),
-                }
-            };
+        let since = |moment: Moment| moment.since(times.start_wall_ns);
+        let span = times.span().unwrap_or_default();
+        let [first_ns, last_ns] = times.span_ns.unwrap_or([i64::MIN, i64::MAX]);
         // One may be a date and the other a number of seconds.
         if let (Some(from), Some(to)) = (self.from, self.to)
-            && let Some((from_ns, to_ns)) = from.since(start_wall_ns).zip(to.since(start_wall_ns))
-            && from_ns > to_ns
+            && since(from)
+                .zip(since(to))
+                .is_some_and(|(from, to)| from > to)
         {
-            return Err(backwards(from, to, span));
+            let of_record = format!("; the entries of the record are from {span}");
+            let of_record = if span.is_empty() { "" } else { &of_record };
+            return Err(backwards(from, to, of_record));
         }
-        let from_ns = since(self.from, "from", &|ns, span| ns > span.last_ns);
-        let to_ns = since(self.to, "to", &|ns, span| ns < span.first_ns);
-        Ok((from_ns?, to_ns?))
+        let check = |option: &str, moment: Option<Moment>, is_outside: &dyn Fn(i64) -> bool| {
+            let Some(moment) = moment else {
+                return Ok(None);
+            };
+            match since(moment) {
+                None => Err(format!(
+                    "{name} holds no wall time: give --{option} in seconds since its start"
+                )),
+                Some(ns) if is_outside(ns) => Err(format!(
+                    "--{option} {moment} leaves nothing of {name}: its entries are from {span}"
+                )),
+                since => Ok(since),
+            }
+        };
+        let from_ns = check("from", self.from, &|ns| ns > last_ns)?;
+        let to_ns = check("to", self.to, &|ns| ns < first_ns)?;
+        Ok((from_ns, to_ns))
     }
 }
 
-/// The range ends before it begins. `span` are the times of the record, if they are known.
-fn backwards(from: Moment, to: Moment, span: Option<Span>) -> String {
-    let of_record = span.map(|span| format!("; the entries of the record are from {span}"));
-    format!(
-        "--from {from} is after --to {to}: give the earlier time to --from{}",
-        of_record.unwrap_or_default()
-    )
+/// The range ends before it begins; `of_record` names the times of the record.
+fn backwards(from: Moment, to: Moment, of_record: &str) -> String {
+    format!("--from {from} is after --to {to}: give the earlier time to --from{of_record}")
 }
 
 #[cfg(test)]

@@ -5,13 +5,11 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::Reason;
-use singletrack_protocol::{
-    RefusalReason, Status, StopCause, TELEMETRY_PERIOD_US, Telemetry, ToHost,
-};
-use singletrack_record::{Entry, StatusRecord, TelemetryRecord, TickRecord};
+use singletrack_protocol::{RefusalReason, Status, StopCause, TELEMETRY_PERIOD_US, Telemetry};
+use singletrack_record::{Entry, TickRecord};
 use singletrack_statistics::{Arrivals, Distribution, Gap};
 
-use super::source::{Close, Content, Kind, Message, Row};
+use super::source::{Close, Kind, Message, Row};
 
 /// All statistics. Values that the source does not have are null or empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -243,22 +241,18 @@ impl<'a> Stats<'a> {
         let time_ns = row.time_ns.unwrap_or_default();
         match message {
             Message::Entry(Entry::Tick(tick)) => self.add_tick(time_ns, tick),
-            Message::Entry(Entry::Telemetry(TelemetryRecord { telemetry, .. }))
-            | Message::Frame(Content::Message(ToHost::Telemetry(telemetry))) => {
-                self.add_telemetry(time_ns, telemetry);
+            Message::Entry(Entry::Telemetry(record)) => {
+                self.add_telemetry(time_ns, &record.telemetry);
             }
-            Message::Entry(Entry::Status(StatusRecord { status, .. }))
-            | Message::Frame(Content::Message(ToHost::Status(status))) => self.add_status(status),
+            Message::Entry(Entry::Status(record)) => self.add_status(&record.status),
             Message::Entry(Entry::Pose(observation)) => self.add_pose(time_ns, observation),
             // The count since the record began.
             Message::Entry(Entry::Drops(drops)) => {
                 let dropped = &mut self.report.entries_dropped;
                 *dropped = drops.entries.max(*dropped);
             }
-            Message::Frame(Content::Broken(broken)) => {
-                count(&mut self.report.line.broken, broken.reason.to_owned());
-            }
-            Message::Entry(Entry::Log(_) | Entry::Configuration(_)) | Message::Frame(_) => {}
+            Message::Broken(reason) => count(&mut self.report.line.broken, reason.to_owned()),
+            Message::Entry(Entry::Log(_) | Entry::Configuration(_)) | Message::Other => {}
         }
     }
 
