@@ -4,7 +4,6 @@
 mod change;
 mod held;
 mod journal;
-mod procedures;
 mod session;
 mod terminal;
 
@@ -36,8 +35,7 @@ use crate::{
 use held::BenchDrive;
 use terminal::Terminal;
 
-pub use procedures::{BRING_UP, CALIBRATE, DoctorArgs};
-pub use session::{Procedure, run};
+pub use session::{BRING_UP, CALIBRATE, DoctorArgs, Procedure, run};
 
 /// The longest wait for a daemon that does not read.
 const PATIENCE: Duration = Duration::from_secs(1);

@@ -4,7 +4,6 @@
 mod format;
 mod line;
 mod moment;
-mod page;
 mod select;
 mod source;
 mod stats;
