@@ -5,7 +5,6 @@ pub mod drive;
 mod figures;
 mod read;
 mod report;
-mod sample;
 mod summary;
 
 use std::path::{Path, PathBuf};
@@ -13,9 +12,9 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 pub use animation::ANIMATION;
+pub use drive::TruthSample;
 pub use figures::FigureKind;
 pub use read::{PlotError, Record};
-pub use sample::TruthSample;
 
 use crate::{
     figure::Figure,

@@ -7,10 +7,7 @@ use std::fmt::Write as _;
 
 use toml::{Table, Value};
 
-use super::{
-    drive::{Drive, TickSample},
-    sample::distance,
-};
+use super::drive::{Drive, TickSample, distance};
 use crate::output::fill;
 use scene::{Scene, View, number};
 

@@ -3,10 +3,7 @@
 use super::LOST;
 use crate::{
     figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Scale, Symbol},
-    plot::{
-        drive::{Drive, TickSample},
-        sample::Sample,
-    },
+    plot::drive::{Drive, Sample, TickSample},
 };
 
 /// The lowest tracking error on its logarithmic axis, in mm.
