@@ -13,6 +13,7 @@ use std::{
 use indicatif::ProgressBar;
 use serde::Serialize;
 use singletrack_core::config::{Config, ReferenceSection, Start};
+use singletrack_figures::output::write;
 use singletrack_pilot::{Filtering, Mode, Output, PilotRequest, Reason};
 use singletrack_scenario::{
     simulated::{self, daemon_config},
@@ -24,7 +25,7 @@ use singletrackd::Daemon;
 
 use super::{
     DemoArgs,
-    files::{SUMMARY, file_of, not_made, private, write},
+    files::{SUMMARY, file_of, not_made, private},
     outcome::{self, INTERRUPTED},
     real_time::{arm, stop},
     settings,

@@ -13,11 +13,12 @@ mod virtual_time;
 
 use std::error::Error;
 
+use singletrack_figures::plot::because;
 use singletrack_pilot::Reason;
 
 use crate::interrupt::Interrupt;
 use files::prepare;
-use outcome::{Drive, INTERRUPTED, NotStarted, Progress, because};
+use outcome::{Drive, INTERRUPTED, NotStarted, Progress};
 
 pub use arguments::DemoArgs;
 

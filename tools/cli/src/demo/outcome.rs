@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use indicatif::ProgressBar;
+use singletrack_figures::plot::because;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_sim::{TimedTruth, Truth};
 use singletrackd::Summary;
@@ -92,8 +93,3 @@ pub(super) struct NotStarted {
 
 /// Why a demo ended that somebody interrupted.
 pub(super) const INTERRUPTED: &str = "interrupted";
-
-/// The reason, beside a mode.
-pub(super) fn because(reason: Option<Reason>) -> String {
-    reason.map_or_else(String::new, |reason| format!(" ({reason})"))
-}

@@ -7,6 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use singletrack_figures::output::write;
 use singletrack_pilot::{Arming, Mode, PilotRequest};
 use singletrack_sim::RealTimeSimulator;
 use singletrackd::{Daemon, Snapshot};
@@ -14,7 +15,7 @@ use singletrackd::{Daemon, Snapshot};
 use super::{
     DemoArgs,
     files::BoardFigures,
-    files::{CONFIGURATION, RECORD, SIMULATION, private, write},
+    files::{CONFIGURATION, RECORD, SIMULATION, private},
     outcome::{Drive, Ended, INTERRUPTED, NotStarted, Progress},
     settings,
 };

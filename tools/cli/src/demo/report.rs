@@ -19,7 +19,7 @@ use singletrackd::Summary;
 use super::{
     arguments::DemoArgs,
     files::BoardFigures,
-    files::{self, CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
+    files::{CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
     outcome::Drive,
     settings,
 };
@@ -74,7 +74,7 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
     let path = args.out.join(SUMMARY);
     let json = serde_json::to_string_pretty(&summary)
         .map_err(|error| format!("can't write {}: {error}", path.display()))?;
-    files::write(&path, &format!("{json}\n"))?;
+    output::write(&path, &format!("{json}\n"))?;
     let mut text = text(args, drive, &summary);
     if plotted {
         text += &format!("Open {}\n", args.out.join(REPORT).display());

@@ -2,6 +2,7 @@
 
 use std::error::Error;
 
+use singletrack_figures::output::write;
 use singletrack_pilot::{Mode, PilotRequest};
 use singletrack_scenario::{virtual_drive::VirtualDrive, virtual_record::VirtualRecord};
 use singletrack_sim::TimedTruth;
@@ -9,7 +10,7 @@ use singletrack_sim::TimedTruth;
 use super::{
     DemoArgs,
     files::BoardFigures,
-    files::{CONFIGURATION, RECORD, SIMULATION, write},
+    files::{CONFIGURATION, RECORD, SIMULATION},
     outcome::{Drive, Ended, Progress},
     settings,
 };

@@ -15,6 +15,7 @@ pub use animation::ANIMATION;
 pub use drive::TruthSample;
 pub use figures::FigureKind;
 pub use read::{PlotError, Record};
+pub use summary::because;
 
 use crate::{
     figure::Figure,
@@ -226,7 +227,7 @@ impl Record {
             Some(last) => format!(
                 "in {ticks} ticks the car was never driven; the last mode was {}{}",
                 last.mode,
-                summary::because(last.reason)
+                because(last.reason)
             ),
         };
         self.missing(format!(

@@ -118,7 +118,7 @@ fn many(count: usize, what: &str) -> String {
 }
 
 /// The reason of a mode in brackets, if it has one.
-pub(super) fn because(reason: Option<Reason>) -> String {
+pub fn because(reason: Option<Reason>) -> String {
     reason.map_or_else(String::new, |reason| format!(" ({reason})"))
 }
 
