@@ -144,11 +144,8 @@ impl LiveBench {
 
     /// Waits for an entry of the watched topics, renews the drive and looks for Ctrl-C.
     fn pump(&mut self) -> Result<Option<Entry>, Interrupted> {
-        let result = self.try_pump();
-        if let Err(interrupted) = &result {
-            self.interrupted = Some(interrupted.clone());
-        }
-        result
+        let pumped = self.try_pump();
+        pumped.inspect_err(|interrupted| self.interrupted = Some(interrupted.clone()))
     }
 
     fn try_pump(&mut self) -> Result<Option<Entry>, Interrupted> {

@@ -91,19 +91,18 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, Box<dyn 
         json: args.json,
         bar: bench.terminal.bar.clone(),
     };
-    let is_resumed = procedure
-        .steps
-        .iter()
-        .any(|step| journal.file.found(step.name).is_some());
-    let begins = bench.report(if is_resumed { "resumed" } else { "begun" });
+    let steps = procedure.steps.iter();
+    let found: Vec<_> = steps
+        .filter_map(|step| journal.file.found(step.name))
+        .collect();
+    let begins = bench.report(if found.is_empty() { "begun" } else { "resumed" });
     begins.map_err(|error| format!("can't begin: {error}"))?;
     bench.terminal.say(procedure.about);
-    for step in procedure.steps {
-        if let Some(finding) = journal.file.found(step.name) {
-            bench
-                .terminal
-                .say(&format!("{}: found before: {}", step.name, finding.found));
-        }
+    for finding in found {
+        let Finding { step, found, .. } = finding;
+        bench
+            .terminal
+            .say(&format!("{step}: found before: {found}"));
     }
     let findings = commissioning::run(procedure.steps, &mut bench, &mut journal)
         .map_err(|interrupted| format!("{interrupted}; run the same command again to resume"))?;
