@@ -13,10 +13,8 @@ use singletrack_sim::RealTimeSimulator;
 use singletrackd::{Daemon, Snapshot};
 
 use super::{
-    DemoArgs,
-    files::BoardFigures,
-    files::{CONFIGURATION, RECORD, SIMULATION, private},
-    outcome::{Drive, Ended, INTERRUPTED, NotStarted, Progress},
+    DemoArgs, Drive, Ended, INTERRUPTED, NotStarted, Progress,
+    files::{BoardFigures, CONFIGURATION, RECORD, SIMULATION, private},
     settings,
 };
 use crate::interrupt::Interrupt;

@@ -17,10 +17,8 @@ use singletrack_sim::{LossPattern, Truth};
 use singletrackd::Summary;
 
 use super::{
-    arguments::DemoArgs,
-    files::BoardFigures,
-    files::{CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
-    outcome::Drive,
+    DemoArgs, Drive,
+    files::{BoardFigures, CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
     settings,
 };
 

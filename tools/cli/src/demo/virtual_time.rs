@@ -8,10 +8,8 @@ use singletrack_scenario::{virtual_drive::VirtualDrive, virtual_record::VirtualR
 use singletrack_sim::TimedTruth;
 
 use super::{
-    DemoArgs,
-    files::BoardFigures,
-    files::{CONFIGURATION, RECORD, SIMULATION},
-    outcome::{Drive, Ended, Progress},
+    DemoArgs, Drive, Ended, Progress,
+    files::{BoardFigures, CONFIGURATION, RECORD, SIMULATION},
     settings,
 };
 use crate::interrupt::Interrupt;

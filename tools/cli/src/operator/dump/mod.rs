@@ -3,7 +3,6 @@
 
 mod format;
 mod line;
-mod moment;
 mod select;
 mod source;
 mod stats;
@@ -20,8 +19,7 @@ use std::{
 use clap::Args;
 use format::Printer;
 use line::{Input, Line};
-use moment::Range;
-use select::Filter;
+use select::{Filter, Range};
 use singletrack_core::config::SerialSection;
 use singletrack_record::{Topic, Value};
 use source::{Close, Kind, Live, Next, Place, Record, Row, Source};
@@ -30,8 +28,7 @@ use stats::Stats;
 use crate::{arguments::parse_duration, interrupt::Interrupt, operator::control::ControlArgs};
 
 pub use format::Format;
-pub use moment::Moment;
-pub use select::Condition;
+pub use select::{Condition, Moment};
 
 /// Why a dump failed, in words for the user.
 pub type DumpError = Box<dyn Error>;

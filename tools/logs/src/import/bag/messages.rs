@@ -6,8 +6,7 @@ use super::{
     Seconds,
     cdr::{self, Fault, Found, Target},
     definition::{Definition, short},
-    row::{Entry, Row, message_error},
-    wanted::{Source, Sources, Wanted},
+    wanted::{Entry, Row, Source, Sources, Wanted, message_error},
 };
 use crate::import::log::{ImportError, JITTER_NS};
 
