@@ -16,6 +16,8 @@ mod explain;
 mod fleet;
 #[cfg(unix)]
 mod held;
+#[cfg(feature = "log")]
+pub mod log;
 #[cfg(unix)]
 mod messages;
 mod reply;

@@ -21,9 +21,7 @@
 //! the clocks is taken once, when the record begins, so setting the wall clock later has
 //! no effect.
 
-mod batch;
 mod derive;
-mod digest;
 mod entry;
 #[cfg(feature = "files")]
 mod file;
@@ -34,9 +32,7 @@ mod tick;
 mod topic;
 mod value;
 
-pub use batch::Publication;
-pub use derive::Encoder;
-pub use digest::Digest;
+pub use derive::{Encoder, Publication};
 pub use entry::{
     ClockMapping, ConfigurationRecord, Drops, Entry, Level, Log, Meta, RECORD_VERSION,
     StatusRecord, TelemetryRecord, seconds_since,
@@ -46,7 +42,7 @@ pub use file::{
     Ending, FeedInput, FeedOutput, Finished, Reader, RecordError, Recorded, Recorder,
     RecorderThread, Recovery, feed, parse_record, part_path, put_in_place, recover, replace,
 };
-pub use replay::{Difference, Replay, ReplayError};
+pub use replay::{Difference, Digest, Replay, ReplayError};
 pub use standard::{BASE_FRAME, MAP_FRAME, ODOM_FRAME, StandardTopic};
 pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickInput, TickOutput, TickRecord, tick_feed};
 pub use topic::{Channel, Topic, UnknownTopic, write_json_object};

@@ -22,31 +22,11 @@ use std::{error::Error, io, process::ExitCode, sync::Arc};
 
 use arguments::Arguments;
 use clap::Parser as _;
-use tracing_subscriber::{
-    filter::{LevelFilter, Targets},
-    layer::SubscriberExt as _,
-    util::SubscriberInitExt as _,
-};
+use singletrack_api::log;
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let filter = std::env::var("RUST_LOG")
-        .ok()
-        .and_then(|filter| filter.parse::<Targets>().ok())
-        .unwrap_or_else(|| {
-            Targets::new()
-                .with_default(LevelFilter::WARN)
-                .with_target("singletrack_ros", LevelFilter::INFO)
-        });
-    tracing_subscriber::fmt()
-        .with_max_level(LevelFilter::TRACE)
-        .with_writer(io::stderr)
-        .without_time()
-        .with_target(false)
-        .with_ansi(io::IsTerminal::is_terminal(&io::stderr()))
-        .finish()
-        .with(filter)
-        .init();
+    log::start("singletrack_ros", log::LevelFilter::WARN);
     match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

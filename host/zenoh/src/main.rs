@@ -11,15 +11,11 @@ mod connection;
 mod desk;
 mod network;
 
-use std::{io, path::PathBuf, process::ExitCode};
+use std::{path::PathBuf, process::ExitCode};
 
 use car::Car;
 use clap::{Parser, Subcommand};
-use tracing_subscriber::{
-    filter::{LevelFilter, Targets},
-    layer::SubscriberExt as _,
-    util::SubscriberInitExt as _,
-};
+use singletrack_api::log;
 
 /// Control sockets of cars on other computers, by way of a zenoh router
 ///
@@ -57,23 +53,7 @@ enum Side {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let filter = std::env::var("RUST_LOG")
-        .ok()
-        .and_then(|filter| filter.parse::<Targets>().ok())
-        .unwrap_or_else(|| {
-            Targets::new()
-                .with_default(LevelFilter::ERROR)
-                .with_target("singletrack_zenoh", LevelFilter::INFO)
-        });
-    tracing_subscriber::fmt()
-        .with_max_level(LevelFilter::TRACE)
-        .with_writer(io::stderr)
-        .without_time()
-        .with_target(false)
-        .with_ansi(io::IsTerminal::is_terminal(&io::stderr()))
-        .finish()
-        .with(filter)
-        .init();
+    log::start("singletrack_zenoh", log::LevelFilter::ERROR);
     let config = arguments.config.as_deref();
     let ended = match &arguments.side {
         Side::Car(car) => car::serve(config, car),

@@ -8,6 +8,7 @@ use std::{
         atomic::{AtomicBool, Ordering},
     },
     thread,
+    time::Duration,
 };
 
 use tokio::{
@@ -21,6 +22,9 @@ pub(crate) struct Interrupt(Arc<AtomicBool>);
 
 /// What a shell expects of a program that was interrupted.
 const EXIT_CODE: i32 = 130;
+
+/// How often a signal is looked for.
+const POLL: Duration = Duration::from_millis(50);
 
 impl Interrupt {
     /// Listens for SIGINT, SIGTERM and SIGHUP; a second one ends the process at once.
@@ -38,7 +42,7 @@ impl Interrupt {
         let asked = interrupt.clone();
         thread::Builder::new()
             .name("interrupt".to_owned())
-            .spawn(move || runtime.block_on(asked.wait(signals)))?;
+            .spawn(move || runtime.block_on(asked.watch(signals)))?;
         Ok(interrupt)
     }
 
@@ -47,7 +51,14 @@ impl Interrupt {
         self.0.load(Ordering::Relaxed)
     }
 
-    async fn wait(self, [mut interrupt, mut terminate, mut hangup]: [Signal; 3]) {
+    /// Waits for a signal.
+    pub(crate) fn wait(&self) {
+        while !self.is_raised() {
+            thread::sleep(POLL);
+        }
+    }
+
+    async fn watch(self, [mut interrupt, mut terminate, mut hangup]: [Signal; 3]) {
         loop {
             tokio::select! {
                 _ = interrupt.recv() => {}

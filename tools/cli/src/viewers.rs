@@ -1,29 +1,14 @@
 //! `singletrack page|live`: what shows a drive, in processes of their own beside any daemon.
 
-use std::{
-    error::Error,
-    io::{self, IsTerminal as _},
-    net::IpAddr,
-    path::PathBuf,
-    thread,
-    time::Duration,
-};
+use std::{error::Error, net::IpAddr, path::PathBuf};
 
 use clap::Args;
-use singletrack_api::{Fleet, FleetCar};
+use singletrack_api::{Fleet, FleetCar, log};
 use singletrack_core::{Config, config::SocketSection};
 use singletrack_figures::output::print;
 use singletrack_viewers::page::{OtherCar, Page};
-use tracing_subscriber::{
-    filter::{LevelFilter, Targets},
-    layer::SubscriberExt as _,
-    util::SubscriberInitExt as _,
-};
 
 use crate::{arguments::ConfiguredSocket, interrupt::Interrupt};
-
-/// How often Ctrl-C is looked for.
-const POLL: Duration = Duration::from_millis(50);
 
 /// The options of both.
 #[derive(Clone, Debug, Args)]
@@ -117,70 +102,41 @@ pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
         format!("/?token=TOKEN with the token from {}", path.display())
     });
     print(&format!("Page: http://{}{token}\n", page.address))?;
-    wait(&interrupt);
+    interrupt.wait();
     Ok(())
 }
 
-/// The log on standard error: the daemon lost and found again.
+/// Options of `singletrack live`.
+#[cfg(feature = "live")]
+#[derive(Clone, Debug, Args)]
+pub struct LiveArgs {
+    #[command(flatten)]
+    viewer: ViewerArgs,
+
+    /// Port to listen on; 0 takes any free port [default: that of --config, or 8765]
+    #[arg(long, value_name = "PORT")]
+    port: Option<u16>,
+}
+
+/// Serves the live view until Ctrl-C.
+///
+/// # Errors
+///
+/// The configuration is invalid, or the live view can't be served.
+#[cfg(feature = "live")]
+pub fn live(args: &LiveArgs) -> Result<(), Box<dyn Error>> {
+    let interrupt = Interrupt::listen()?;
+    let (socket, mut section) = args.viewer.settings(|config| config.live)?;
+    section.address = args.viewer.address.unwrap_or(section.address);
+    section.port = args.port.unwrap_or(section.port);
+    start_log();
+    let live = singletrack_viewers::live::Live::start(socket, section)?;
+    print(&format!("Live view: ws://{}\n", live.address))?;
+    interrupt.wait();
+    Ok(())
+}
+
+/// The log: the daemon lost and found again.
 fn start_log() {
-    let no_colour = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    let filter = Targets::new()
-        .with_default(LevelFilter::WARN)
-        .with_target("singletrack_viewers", LevelFilter::INFO);
-    tracing_subscriber::fmt()
-        .with_writer(io::stderr)
-        .with_ansi(io::stderr().is_terminal() && !no_colour)
-        .without_time()
-        .with_target(false)
-        .finish()
-        .with(filter)
-        .init();
-}
-
-fn wait(interrupt: &Interrupt) {
-    while !interrupt.is_raised() {
-        thread::sleep(POLL);
-    }
-}
-
-#[cfg(feature = "live")]
-pub use live::{LiveArgs, live};
-
-#[cfg(feature = "live")]
-mod live {
-    use std::error::Error;
-
-    use clap::Args;
-    use singletrack_figures::output::print;
-
-    use super::{ViewerArgs, start_log, wait};
-    use crate::interrupt::Interrupt;
-
-    /// Options of `singletrack live`.
-    #[derive(Clone, Debug, Args)]
-    pub struct LiveArgs {
-        #[command(flatten)]
-        viewer: ViewerArgs,
-
-        /// Port to listen on; 0 takes any free port [default: that of --config, or 8765]
-        #[arg(long, value_name = "PORT")]
-        port: Option<u16>,
-    }
-
-    /// Serves the live view until Ctrl-C.
-    ///
-    /// # Errors
-    ///
-    /// The configuration is invalid, or the live view can't be served.
-    pub fn live(args: &LiveArgs) -> Result<(), Box<dyn Error>> {
-        let interrupt = Interrupt::listen()?;
-        let (socket, mut section) = args.viewer.settings(|config| config.live)?;
-        section.address = args.viewer.address.unwrap_or(section.address);
-        section.port = args.port.unwrap_or(section.port);
-        start_log();
-        let live = singletrack_viewers::live::Live::start(socket, section)?;
-        print(&format!("Live view: ws://{}\n", live.address))?;
-        wait(&interrupt);
-        Ok(())
-    }
+    log::start("singletrack_viewers", log::LevelFilter::WARN);
 }

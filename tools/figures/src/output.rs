@@ -6,6 +6,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use indicatif::{ProgressBar, ProgressStyle};
+
 /// A file or folder that can't be written.
 #[derive(Debug, thiserror::Error)]
 #[error("can't write {}: {source}; choose another folder with --out", path.display())]
@@ -42,6 +44,18 @@ pub fn write(path: &Path, text: &str) -> Result<(), WriteError> {
     fs::write(path, text).map_err(WriteError::of(path))
 }
 
+/// Writes a file into a folder, which is made if it is not there. Returns its path.
+///
+/// # Errors
+///
+/// When it can't be written.
+pub fn write_into(folder: &Path, name: &str, text: &str) -> Result<PathBuf, WriteError> {
+    make_folder(folder)?;
+    let path = folder.join(name);
+    write(&path, text)?;
+    Ok(path)
+}
+
 /// Prints a text as it is. The reader of a pipe may close it at any time.
 ///
 /// # Errors
@@ -52,6 +66,15 @@ pub fn print(text: &str) -> io::Result<()> {
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         result => result,
+    }
+}
+
+/// A progress bar on standard error, in the form of `template`; hidden when that is no terminal.
+pub fn progress_bar(length: u64, template: &str) -> ProgressBar {
+    let bar = ProgressBar::new(length);
+    match ProgressStyle::with_template(template) {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
     }
 }
 

@@ -38,12 +38,10 @@ impl Drop for Follower {
 }
 
 impl Follower {
-    /// Starts the thread. While `is_watched`, it runs `follow`, which returns when nobody watches
-    /// any more or the daemon is lost. `lost` is given the reason.
+    /// Starts the thread. It runs `follow` again and again, which returns when nobody watches or the
+    /// daemon is lost.
     pub(crate) fn start(
-        is_watched: impl Fn() -> bool + Send + 'static,
         mut follow: impl FnMut() -> Result<(), ClientError> + Send + 'static,
-        lost: impl Fn(String) + Send + 'static,
     ) -> io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
@@ -51,19 +49,15 @@ impl Follower {
         let body = move || {
             let mut said = String::new();
             while !has_stopped() {
-                if !is_watched() {
-                    thread::sleep(IDLE);
-                    continue;
-                }
                 let Err(error) = follow() else {
+                    thread::sleep(IDLE);
                     continue;
                 };
                 let why = error.to_string();
                 if why != said {
                     tracing::warn!("no daemon: {why}");
-                    said.clone_from(&why);
+                    said = why;
                 }
-                lost(why);
                 let pause = match error {
                     ClientError::Refused(_) => RETRY_REFUSED,
                     _ => RETRY,

@@ -98,12 +98,10 @@ impl Live {
         let server = ServerThread::start("live", move |stop| {
             serve(&runtime, handle, &served, stop);
         })?;
-        let (watched, followed, lost) = (Arc::clone(&shared), Arc::clone(&shared), shared);
-        let follower = Follower::start(
-            move || watched.is_watched.load(Ordering::Relaxed),
-            move || follow(&socket, &publisher, &followed),
-            move |why| lost.set_lost(Some(why)),
-        )?;
+        let follower = Follower::start(move || {
+            let followed = follow(&socket, &publisher, &shared);
+            followed.inspect_err(|error| shared.set_lost(Some(error.to_string())))
+        })?;
         Ok(Self {
             address,
             _server: server,
@@ -173,6 +171,9 @@ impl Publisher {
 
 /// Passes the daemon's messages on for as long as there are viewers.
 fn follow(socket: &Path, publisher: &Publisher, shared: &Shared) -> Result<(), ClientError> {
+    if !shared.is_watched.load(Ordering::Relaxed) {
+        return Ok(());
+    }
     let mut stream = MessageStream::open(socket, &[], PATIENCE)?;
     shared.set_lost(None);
     let clocks = stream.clocks;

@@ -3,10 +3,9 @@
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
-use super::header;
+use super::Batch;
 use crate::{
-    Channel, Entry, LinkPhase, StandardTopic,
-    batch::Batch,
+    Entry, LinkPhase, StandardTopic,
     standard::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue},
 };
 
@@ -17,7 +16,7 @@ const STALE: Byte = Byte(3);
 
 /// The latest states.
 #[derive(Debug, Default)]
-pub(crate) struct Diagnostics {
+pub(super) struct Diagnostics {
     pilot: Option<Pilot>,
     board: Option<(BoardMode, StopCause)>,
     status: Option<Status>,
@@ -36,7 +35,7 @@ struct Pilot {
 impl Diagnostics {
     /// Takes an entry, and adds a message if a state has changed or the board has sent its
     /// status.
-    pub(crate) fn take(&mut self, entry: &Entry, batch: &mut Batch) -> Result<(), String> {
+    pub(super) fn take(&mut self, entry: &Entry, batch: &mut Batch) -> Result<(), String> {
         match entry {
             Entry::Tick(tick) => {
                 let pilot = Some(Pilot {
@@ -63,14 +62,13 @@ impl Diagnostics {
             Entry::Pose(_) | Entry::Log(_) | Entry::Configuration(_) => return Ok(()),
         }
         let message = DiagnosticArray {
-            header: header(entry.time_ns(), "", batch),
+            header: batch.header(entry.time_ns(), ""),
             status: [self.pilot(), self.board(), Some(self.record())]
                 .into_iter()
                 .flatten()
                 .collect(),
         };
-        let channel = Channel::Standard(StandardTopic::Diagnostics);
-        batch.add(channel, entry.time_ns(), &message)
+        batch.add(StandardTopic::Diagnostics, entry.time_ns(), &message)
     }
 
     fn pilot(&self) -> Option<DiagnosticStatus> {

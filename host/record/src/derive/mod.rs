@@ -6,16 +6,16 @@ mod diagnostics;
 #[cfg(test)]
 mod tests;
 
-use core::array::from_fn;
+use core::{array::from_fn, ops::Range};
 
+use serde::Serialize;
 use singletrack_control::{Covariance, Estimate, Position};
 use singletrack_mocap::{Pose as BodyPose, PoseState};
 
 use crate::{
-    BASE_FRAME, Channel, ClockMapping, Entry, MAP_FRAME, ODOM_FRAME, Publication, StandardTopic,
+    BASE_FRAME, Channel, ClockMapping, Entry, MAP_FRAME, ODOM_FRAME, StandardTopic,
     TelemetryRecord, TickRecord,
-    batch::Batch,
-    message::Coded,
+    message::{self, Coded},
     standard::{
         AckermannDrive, AckermannDriveStamped, Header, Imu, Log, Odometry, Point, PointStamped,
         Pose, PoseStamped, PoseWithCovariance, Quaternion, TfMessage, Time, Transform,
@@ -23,7 +23,7 @@ use crate::{
     },
 };
 
-pub(crate) use diagnostics::Diagnostics;
+use diagnostics::Diagnostics;
 
 /// Encodes entries as the messages of the channels.
 ///
@@ -41,7 +41,12 @@ impl Encoder {
     pub fn new(start: ClockMapping) -> Self {
         Self {
             diagnostics: Diagnostics::default(),
-            batch: Batch::new(start),
+            batch: Batch {
+                start,
+                // Enough for a tick and all messages that follow from it.
+                bytes: Vec::with_capacity(8 << 10),
+                messages: Vec::with_capacity(Channel::COUNT),
+            },
         }
     }
 
@@ -55,32 +60,95 @@ impl Encoder {
         entry: &Entry,
     ) -> Result<impl Iterator<Item = Publication<'_>>, String> {
         let batch = &mut self.batch;
-        batch.clear();
+        batch.bytes.clear();
+        batch.messages.clear();
         let own = Channel::Entry(entry.topic());
         batch.add_encoded(own, entry.sample_time_ns(), |bytes| entry.encode(bytes))?;
         derive(entry, batch)?;
         self.diagnostics.take(entry, batch)?;
-        let log_time_ns = self.batch.wall_ns_at(entry.time_ns());
-        Ok(self.batch.iter(log_time_ns))
+        let batch = &self.batch;
+        let log_time_ns = batch.start.wall_ns_at(entry.time_ns());
+        let messages = batch.messages.iter();
+        Ok(
+            messages.map(move |(channel, publish_time_ns, range)| Publication {
+                channel: *channel,
+                log_time_ns,
+                publish_time_ns: *publish_time_ns,
+                bytes: batch.bytes.get(range.clone()).unwrap_or_default(),
+            }),
+        )
     }
 }
 
-/// A header for a time of the monotonic clock.
-fn header(time_ns: u64, frame_id: &'static str, batch: &Batch) -> Header {
-    Header {
-        stamp: stamp(time_ns, batch),
-        frame_id,
-    }
+/// A message on a channel. Times are on the wall clock, in ns since 1970, by the mapping
+/// taken when the record began.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Publication<'a> {
+    /// Its channel.
+    pub channel: Channel,
+    /// When its entry reached the host.
+    pub log_time_ns: u64,
+    /// When the described event happened.
+    pub publish_time_ns: u64,
+    /// The message as ROS 2 encodes it: CDR with its header.
+    pub bytes: &'a [u8],
 }
 
-/// A time of the monotonic clock as a stamp of the wall clock.
-fn stamp(time_ns: u64, batch: &Batch) -> Time {
-    const SECOND: u64 = 1_000_000_000;
-    let wall_ns = batch.wall_ns_at(time_ns);
-    Time {
-        // The seconds of ROS end in 2038.
-        sec: i32::try_from(wall_ns / SECOND).unwrap_or(i32::MAX),
-        nanosec: (wall_ns % SECOND) as u32,
+/// The messages of one entry, end to end.
+#[derive(Debug)]
+struct Batch {
+    start: ClockMapping,
+    bytes: Vec<u8>,
+    /// Channels, times on the wall clock, and where the bytes are.
+    messages: Vec<(Channel, u64, Range<usize>)>,
+}
+
+impl Batch {
+    /// Adds a message about `time_ns`, on the monotonic clock.
+    fn add(
+        &mut self,
+        topic: StandardTopic,
+        time_ns: u64,
+        message: &impl Serialize,
+    ) -> Result<(), String> {
+        self.add_encoded(Channel::Standard(topic), time_ns, |bytes| {
+            message::encode(message, bytes)
+        })
+    }
+
+    /// Adds a message that `encode` appends to the bytes.
+    fn add_encoded(
+        &mut self,
+        channel: Channel,
+        time_ns: u64,
+        encode: impl FnOnce(&mut Vec<u8>) -> Result<(), cdr_encoding::Error>,
+    ) -> Result<(), String> {
+        let start = self.bytes.len();
+        // Only a text that is longer than 4 GB can't be.
+        encode(&mut self.bytes)
+            .map_err(|error| format!("can't encode a message of {}: {error}", channel.topic()))?;
+        let range = start..self.bytes.len();
+        let message = (channel, self.start.wall_ns_at(time_ns), range);
+        self.messages.push(message);
+        Ok(())
+    }
+
+    /// A header for a time of the monotonic clock.
+    fn header(&self, time_ns: u64, frame_id: &'static str) -> Header {
+        Header {
+            stamp: self.stamp(time_ns),
+            frame_id,
+        }
+    }
+
+    fn stamp(&self, time_ns: u64) -> Time {
+        const SECOND: u64 = 1_000_000_000;
+        let wall_ns = self.start.wall_ns_at(time_ns);
+        Time {
+            // The seconds of ROS end in 2038.
+            sec: i32::try_from(wall_ns / SECOND).unwrap_or(i32::MAX),
+            nanosec: (wall_ns % SECOND) as u32,
+        }
     }
 }
 
@@ -98,7 +166,7 @@ const Q14: f64 = 1.0 / 16_384.0;
 const NODE: &str = "singletrack";
 
 /// Adds the messages that follow from `entry` alone.
-pub(crate) fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), String> {
+fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), String> {
     match entry {
         Entry::Tick(tick) => from_tick(tick, batch),
         Entry::Telemetry(record) => from_telemetry(record, batch),
@@ -108,7 +176,7 @@ pub(crate) fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), String> {
         },
         Entry::Log(log) => {
             let message = Log {
-                stamp: stamp(log.time_ns, batch),
+                stamp: batch.stamp(log.time_ns),
                 level: log.level.code(),
                 name: NODE,
                 msg: log.text.clone(),
@@ -116,7 +184,7 @@ pub(crate) fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), String> {
                 function: "",
                 line: 0,
             };
-            add(StandardTopic::Rosout, log.time_ns, &message, batch)
+            batch.add(StandardTopic::Rosout, log.time_ns, &message)
         }
         Entry::Status(_) | Entry::Configuration(_) | Entry::Drops(_) => Ok(()),
     }
@@ -130,7 +198,7 @@ fn from_tick(tick: &TickRecord, batch: &mut Batch) -> Result<(), String> {
     }
     if let Some(command) = output.command {
         let message = AckermannDriveStamped {
-            header: header(time_ns, BASE_FRAME, batch),
+            header: batch.header(time_ns, BASE_FRAME),
             drive: AckermannDrive {
                 steering_angle: command.steering as f32,
                 steering_angle_velocity: output.actuation.steering_rate as f32,
@@ -139,7 +207,7 @@ fn from_tick(tick: &TickRecord, batch: &mut Batch) -> Result<(), String> {
                 jerk: 0.0,
             },
         };
-        add(StandardTopic::Command, time_ns, &message, batch)?;
+        batch.add(StandardTopic::Command, time_ns, &message)?;
     }
     let reference = output.reference.and_then(|reference| reference.position);
     for (topic, position) in [
@@ -148,10 +216,10 @@ fn from_tick(tick: &TickRecord, batch: &mut Batch) -> Result<(), String> {
     ] {
         if let Some(position) = position {
             let message = PointStamped {
-                header: header(time_ns, MAP_FRAME, batch),
+                header: batch.header(time_ns, MAP_FRAME),
                 point: on_the_floor(position),
             };
-            add(topic, time_ns, &message, batch)?;
+            batch.add(topic, time_ns, &message)?;
         }
     }
     Ok(())
@@ -164,7 +232,7 @@ fn from_estimate(
 ) -> Result<(), String> {
     let time_ns = estimate.time.0;
     let odometry = Odometry {
-        header: header(time_ns, ODOM_FRAME, batch),
+        header: batch.header(time_ns, ODOM_FRAME),
         child_frame_id: BASE_FRAME,
         pose: PoseWithCovariance {
             pose: Pose {
@@ -189,9 +257,9 @@ fn from_estimate(
             covariance: planar(covariance.map(|of| of.twist)),
         },
     };
-    add(StandardTopic::Odometry, time_ns, &odometry, batch)?;
+    batch.add(StandardTopic::Odometry, time_ns, &odometry)?;
     let transform = |frame_id, child_frame_id, position: Position, yaw| TransformStamped {
-        header: header(time_ns, frame_id, batch),
+        header: batch.header(time_ns, frame_id),
         child_frame_id,
         transform: Transform {
             translation: vector([position.x, position.y, 0.0]),
@@ -205,7 +273,7 @@ fn from_estimate(
             transform(ODOM_FRAME, BASE_FRAME, estimate.position, estimate.yaw),
         ],
     };
-    add(StandardTopic::Transforms, time_ns, &transforms, batch)
+    batch.add(StandardTopic::Transforms, time_ns, &transforms)
 }
 
 fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), String> {
@@ -217,7 +285,7 @@ fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), Str
         .attitude_q14
         .map(|part| f64::from(part) * Q14);
     let message = Imu {
-        header: header(time_ns, BASE_FRAME, batch),
+        header: batch.header(time_ns, BASE_FRAME),
         orientation: Quaternion { x, y, z, w },
         orientation_covariance: UNKNOWN,
         angular_velocity: vector(record.angular_velocity_rad_s()),
@@ -225,13 +293,13 @@ fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), Str
         linear_acceleration: vector(record.linear_acceleration_m_s2()),
         linear_acceleration_covariance: UNKNOWN,
     };
-    add(StandardTopic::Imu, time_ns, &message, batch)
+    batch.add(StandardTopic::Imu, time_ns, &message)
 }
 
 fn from_pose(pose: &BodyPose, batch: &mut Batch) -> Result<(), String> {
     let time_ns = pose.capture_time_ns;
     let message = PoseStamped {
-        header: header(time_ns, MAP_FRAME, batch),
+        header: batch.header(time_ns, MAP_FRAME),
         pose: Pose {
             position: Point {
                 x: pose.x_m,
@@ -241,16 +309,7 @@ fn from_pose(pose: &BodyPose, batch: &mut Batch) -> Result<(), String> {
             orientation: about_z(pose.yaw_rad),
         },
     };
-    add(StandardTopic::MocapPose, time_ns, &message, batch)
-}
-
-fn add(
-    topic: StandardTopic,
-    time_ns: u64,
-    message: &impl serde::Serialize,
-    batch: &mut Batch,
-) -> Result<(), String> {
-    batch.add(Channel::Standard(topic), time_ns, message)
+    batch.add(StandardTopic::MocapPose, time_ns, &message)
 }
 
 /// The covariance of x, y, z and the rotations about them, with that of x, y and yaw.

@@ -7,8 +7,6 @@ use std::{
     io::Read,
     mem,
     path::{Path, PathBuf},
-    thread,
-    time::Duration,
 };
 
 use mcap::{
@@ -29,8 +27,6 @@ use crate::{Entry, Meta, Topic, Value};
 const LENGTH: usize = size_of::<u32>();
 /// Bytes read from the file at once.
 const READ_LENGTH: usize = 64 << 10;
-/// Period of the polls of a record that is being written.
-const FOLLOW_PERIOD: Duration = Duration::from_millis(100);
 
 /// Reads a record from start to end.
 ///
@@ -58,7 +54,6 @@ pub struct Reader {
     bytes: u64,
     entries: u64,
     topics: Option<Vec<Topic>>,
-    follow: bool,
     /// How the record ended; none before the end, and after an error.
     pub ending: Option<Ending>,
     failed: bool,
@@ -165,7 +160,6 @@ impl Reader {
             bytes: 0,
             entries: 0,
             topics: None,
-            follow: false,
             ending: None,
             failed: false,
         };
@@ -177,13 +171,6 @@ impl Reader {
     #[must_use]
     pub fn only(mut self, topics: &[Topic]) -> Self {
         self.topics = Some(topics.to_vec());
-        self
-    }
-
-    /// Waits for more at the end of an unfinished record, until it is finished.
-    #[must_use]
-    pub const fn follow(mut self) -> Self {
-        self.follow = true;
         self
     }
 
@@ -581,19 +568,12 @@ impl Iterator for Reader {
         if self.ending.is_some() {
             return None;
         }
-        loop {
-            match self.advance() {
-                Ok(Some(Recorded { topic, .. })) => {
-                    let entry = Entry::decode(topic, &self.content);
-                    return Some(entry.map_err(|reason| self.invalid(topic, &reason)));
-                }
-                Ok(None) if self.follow && self.ending != Some(Ending::Finished) => {
-                    thread::sleep(FOLLOW_PERIOD);
-                }
-                Ok(None) => return None,
-                Err(error) => return Some(Err(error)),
-            }
-        }
+        let Recorded { topic, .. } = match self.advance().transpose()? {
+            Ok(recorded) => recorded,
+            Err(error) => return Some(Err(error)),
+        };
+        let entry = Entry::decode(topic, &self.content);
+        Some(entry.map_err(|reason| self.invalid(topic, &reason)))
     }
 }
 

@@ -9,7 +9,10 @@ use std::{
 
 use serde::Serialize;
 use singletrack_core::config::Config;
-use singletrack_figures::plot::{ANIMATION, FigureKind, REPORT};
+use singletrack_figures::{
+    output::{WriteError, make_folder},
+    plot::{ANIMATION, FigureKind, REPORT},
+};
 use singletrack_sim::{ImageSize, Installation, SimulatedBoard};
 use tempfile::TempDir;
 
@@ -36,22 +39,21 @@ pub(super) const FIGURES: &str = "figures";
 ///
 /// It holds something else, or another demo writes to it.
 pub(super) fn prepare(folder: &Path) -> Result<File, Box<dyn Error>> {
-    let error = |error| not_written(folder, &error);
-    std::fs::create_dir_all(folder).map_err(error)?;
-    let own = File::open(folder).map_err(error)?;
+    make_folder(folder)?;
+    let failed = || WriteError::of(folder);
+    let own = File::open(folder).map_err(failed())?;
     match own.try_lock() {
-        Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
             let folder = folder.display();
             return Err(
                 format!("another demo writes to {folder}: give another folder with --out").into(),
             );
         }
-        Err(TryLockError::Error(source)) => return Err(error(source).into()),
+        locked => locked.map_err(|error| failed()(error.into()))?,
     }
     let known = files();
-    for entry in std::fs::read_dir(folder).map_err(error)? {
-        let name = entry.map_err(error)?.file_name();
+    for entry in std::fs::read_dir(folder).map_err(failed())? {
+        let name = entry.map_err(failed())?.file_name();
         if name != FIGURES && !known.iter().any(|file| file.as_os_str() == name) {
             return Err(format!(
                 "{} holds {}, which no demo has written: give another folder with --out",
@@ -77,12 +79,12 @@ pub(super) fn not_made(error: &io::Error) -> String {
 }
 
 /// Removes what a demo has written.
-pub(super) fn clear(folder: &Path) -> Result<(), String> {
+pub(super) fn clear(folder: &Path) -> Result<(), WriteError> {
     let figures = FigureKind::ALL.map(|kind| Path::new(FIGURES).join(kind.file_name()));
     for file in files().into_iter().chain(figures) {
         match std::fs::remove_file(folder.join(file)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                return Err(not_written(folder, &error));
+                return Err(WriteError::of(folder)(error));
             }
             _ => {}
         }
@@ -93,28 +95,16 @@ pub(super) fn clear(folder: &Path) -> Result<(), String> {
 /// The files of a demo, besides the figures.
 fn files() -> Vec<PathBuf> {
     let cars = (1..=MAX_CARS).map(|number| format!("car{number}.mcap"));
-    let records: Vec<_> = cars.chain([RECORD.to_owned()]).map(PathBuf::from).collect();
-    let unfinished = records
-        .iter()
-        .map(|record| singletrack_record::part_path(record));
-    let configurations = records.iter().map(|record| record.with_extension("toml"));
-    let files = [SIMULATION, SUMMARY, REPORT, ANIMATION];
-    files
-        .map(PathBuf::from)
-        .into_iter()
-        .chain(unfinished)
-        .chain(configurations)
-        .chain(records.iter().cloned())
-        .collect()
-}
-
-/// Writes a file.
-pub(super) fn write(path: &Path, text: &str) -> Result<(), String> {
-    std::fs::write(path, text).map_err(|error| not_written(path, &error))
-}
-
-fn not_written(path: &Path, error: &io::Error) -> String {
-    format!("can't write {}: {error}", path.display())
+    let records = cars.chain([RECORD.to_owned()]).map(PathBuf::from);
+    let of_records = records.flat_map(|it| {
+        [
+            singletrack_record::part_path(&it),
+            it.with_extension("toml"),
+            it,
+        ]
+    });
+    let others = [SIMULATION, SUMMARY, REPORT, ANIMATION].map(PathBuf::from);
+    others.into_iter().chain(of_records).collect()
 }
 
 /// The UNO image's use of its processor, from power-on to the end.

@@ -13,6 +13,7 @@ use std::{
 use indicatif::ProgressBar;
 use serde::Serialize;
 use singletrack_core::config::{Config, ReferenceSection, Start};
+use singletrack_figures::output::write;
 use singletrack_pilot::{Filtering, Mode, Output, PilotRequest, Reason};
 use singletrack_scenario::{
     simulated::{self, daemon_config},
@@ -23,9 +24,8 @@ use singletrack_sim::{RealTimeConfig, RealTimeSimulator, SharedFloor, StartPose}
 use singletrackd::Daemon;
 
 use super::{
-    DemoArgs,
-    files::{SUMMARY, file_of, not_made, private, write},
-    outcome::{self, INTERRUPTED},
+    DemoArgs, INTERRUPTED, bar,
+    files::{SUMMARY, file_of, not_made, private},
     real_time::{arm, stop},
     settings,
     viewers::Viewers,
@@ -179,7 +179,7 @@ fn virtual_time(
     let mut records: Vec<_> = drives.map(record).collect::<Result<_, _>>()?;
     fleet.start()?;
     let mut summaries = vec![CarSummary::default(); cars.len()];
-    let bar = outcome::bar(args.duration);
+    let bar = bar(args.duration);
     let start_us = fleet.now_us;
     let duration_s = args.duration.as_secs_f64();
     let mut time_s = 0.0;
@@ -233,7 +233,7 @@ fn real_time(
     let first = sockets.next().unwrap_or_default();
     let _viewers = Viewers::start(args, &first, &sockets.collect::<Vec<_>>())?;
 
-    let bar = outcome::bar(args.duration);
+    let bar = bar(args.duration);
     let daemons: Vec<_> = fleet.iter().map(|(_, daemon)| daemon).collect();
     arm(&daemons, READY_TIMEOUT, interrupt, |snapshot| {
         bar.set_message(format!("waiting for all cars: {}", snapshot.mode()));

@@ -1,25 +1,99 @@
 //! `singletrack demo`: the paper's circle, driven by the daemon on the simulated car, in real time
 //! or, where the computer can't keep it, in virtual time.
 
-mod arguments;
 mod files;
 mod fleet;
-mod outcome;
 mod real_time;
 mod report;
 mod settings;
 mod viewers;
 mod virtual_time;
 
-use std::error::Error;
+use std::{error::Error, path::PathBuf, time::Duration};
 
-use singletrack_pilot::Reason;
+use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
+use singletrack_figures::plot::because;
+use singletrack_pilot::{Mode, Reason};
+use singletrack_sim::{BoardKind, LossPattern, TimedTruth, Truth};
+use singletrackd::Summary;
 
-use crate::interrupt::Interrupt;
-use files::prepare;
-use outcome::{Drive, INTERRUPTED, NotStarted, Progress, because};
+use crate::{arguments::duration_within, interrupt::Interrupt, progress::progress_bar};
+use files::{BoardFigures, MAX_CARS, prepare};
 
-pub use arguments::DemoArgs;
+/// Options of `singletrack demo`.
+#[derive(Clone, Debug, Args)]
+pub struct DemoArgs {
+    /// How long to drive, such as 40s; a bare number is in seconds
+    #[arg(long = "for", value_name = "DURATION", default_value = "40s", value_parser = parse_time)]
+    duration: Duration,
+
+    /// The board: its code compiled for this machine, or the Arduino's image on a simulated
+    /// processor (`cargo uno` builds it)
+    #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
+    board: BoardKind,
+
+    /// The car: the paper's, or one that is made of the logs of a real car (`tools/vehicles`)
+    #[arg(long, value_enum, default_value_t = Car::Paper)]
+    car: Car,
+
+    /// Several cars on circles that cross, which keep apart, 2 to 20
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_cars)]
+    #[arg(conflicts_with_all = ["live", "board", "car", "loss", "feed_forward"])]
+    cars: usize,
+
+    /// Where the configuration, the record, the figures and the summary go
+    #[arg(long, value_name = "DIR", default_value = "singletrack-demo")]
+    out: PathBuf,
+
+    /// Seed of all random numbers of the simulation
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
+    /// Add the reference's velocity to the position loop, so that the error goes to zero
+    #[arg(long)]
+    feed_forward: bool,
+
+    /// Serve the drive live to Foxglove, Lichtblick and PlotJuggler on this machine
+    /// [default port: 8765]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
+    live: Option<u16>,
+
+    /// Serve a page that shows the drive in a browser on this machine [default port: 8767]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8767")]
+    watch: Option<u16>,
+
+    /// Drive in virtual time, as fast as the computer can, and without lateness
+    #[arg(long = "virtual", conflicts_with_all = ["live", "watch"])]
+    virtual_time: bool,
+
+    /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
+    #[arg(long, value_name = "DURATION@INTERVAL")]
+    loss: Option<LossPattern>,
+}
+
+/// A simulated car.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Car {
+    /// The paper's, 1:10.
+    #[default]
+    Paper,
+    /// DART, about 1:18: its tyres, play in the steering, and an IMU that vibrates.
+    Dart,
+    /// An F1TENTH of Poznan University of Technology, 1:10: twice as heavy, and with grip.
+    Put,
+}
+
+fn parse_cars(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(cars) if (1..=MAX_CARS).contains(&cars) => Ok(cars),
+        _ => Err(format!("{text} is not between 1 and {MAX_CARS}")),
+    }
+}
+
+fn parse_time(text: &str) -> Result<Duration, String> {
+    duration_within(text, 0.1, 86_400.0)
+}
 
 /// Runs the demo.
 ///
@@ -103,3 +177,86 @@ fn untimely(args: &DemoArgs, driven: &Result<Drive, Box<dyn Error>>) -> Option<R
     );
     (by_line || (by_cameras && args.loss.is_none())).then_some(reason)
 }
+
+/// The bar of a drive of this duration, which is moved by milliseconds.
+fn bar(duration: Duration) -> ProgressBar {
+    let length = u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
+    progress_bar(length, "{bar:10} {percent:>3} %  {msg}")
+}
+
+struct Progress {
+    bar: ProgressBar,
+    expected_m: f64,
+}
+
+impl Progress {
+    /// For a drive of this duration, whose error is expected to settle at a value.
+    fn new(duration: Duration, expected_m: f64) -> Self {
+        Self {
+            bar: bar(duration),
+            expected_m,
+        }
+    }
+
+    fn waiting(&self, mode: Mode, reason: Option<Reason>) {
+        self.bar.set_message(match reason {
+            Some(reason) => format!("{mode}: waiting, {reason}"),
+            None => mode.to_string(),
+        });
+    }
+
+    fn driving(&mut self, time: f64, truth: &Truth, error_m: f64, held: bool) {
+        self.bar.set_position((time * 1000.0) as u64);
+        self.bar.set_message(format!(
+            // 80 columns wide, with the bar.
+            "{time:4.1} s  car at ({:5.2}, {:5.2}) m, P {:5.1} mm off (theory: {:.0}){}",
+            truth.x,
+            truth.y,
+            error_m * 1000.0,
+            self.expected_m * 1000.0,
+            if held { "  (markers lost)" } else { "" }
+        ));
+    }
+}
+
+/// A finished drive, for the report.
+#[derive(Debug)]
+struct Drive {
+    /// How it ended before its time, if it did.
+    ended: Option<Ended>,
+    /// CLOCK_MONOTONIC, or virtual time, of the first driving tick, in ns.
+    start_ns: u64,
+    /// How long the car drove, in s.
+    duration_s: f64,
+    /// From the car's centre of mass to its front axle, in m.
+    front_axle_distance_m: f64,
+    /// Where the car truly was.
+    truth: Vec<TimedTruth>,
+    /// What the daemon counted in real time.
+    summary: Option<Summary>,
+    /// What the image took of its processor.
+    board: Option<BoardFigures>,
+}
+
+/// A drive that ended before its time.
+#[derive(Clone, Copy, Debug)]
+struct Ended {
+    mode: Mode,
+    reason: Option<Reason>,
+    after_s: f64,
+}
+
+/// The car was never ready, or did not start.
+#[derive(Debug, thiserror::Error)]
+#[error("the car did not start within {seconds} s: mode {mode}{}", because(*reason))]
+struct NotStarted {
+    /// The mode that it stayed in.
+    mode: Mode,
+    /// Why.
+    reason: Option<Reason>,
+    /// How long it was given.
+    seconds: u64,
+}
+
+/// Why a demo ended that somebody interrupted.
+const INTERRUPTED: &str = "interrupted";

@@ -7,15 +7,14 @@ use std::{
     time::{Duration, Instant},
 };
 
+use singletrack_figures::output::write;
 use singletrack_pilot::{Arming, Mode, PilotRequest};
 use singletrack_sim::RealTimeSimulator;
 use singletrackd::{Daemon, Snapshot};
 
 use super::{
-    DemoArgs,
-    files::BoardFigures,
-    files::{CONFIGURATION, RECORD, SIMULATION, private, write},
-    outcome::{Drive, Ended, INTERRUPTED, NotStarted, Progress},
+    DemoArgs, Drive, Ended, INTERRUPTED, NotStarted, Progress,
+    files::{BoardFigures, CONFIGURATION, RECORD, SIMULATION, private},
     settings,
 };
 use crate::interrupt::Interrupt;

@@ -4,6 +4,7 @@ use std::error::Error;
 
 use serde::Serialize;
 use singletrack_figures::{
+    figure::Figure,
     output,
     plot::{
         self, FigureKind, PlotError, REPORT, Record, TruthSample, write_animation, write_figures,
@@ -16,10 +17,8 @@ use singletrack_sim::{LossPattern, Truth};
 use singletrackd::Summary;
 
 use super::{
-    arguments::DemoArgs,
-    files::BoardFigures,
-    files::{self, CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
-    outcome::Drive,
+    DemoArgs, Drive,
+    files::{BoardFigures, CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
     settings,
 };
 
@@ -73,7 +72,7 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
     let path = args.out.join(SUMMARY);
     let json = serde_json::to_string_pretty(&summary)
         .map_err(|error| format!("can't write {}: {error}", path.display()))?;
-    files::write(&path, &format!("{json}\n"))?;
+    output::write(&path, &format!("{json}\n"))?;
     let mut text = text(args, drive, &summary);
     if plotted {
         text += &format!("Open {}\n", args.out.join(REPORT).display());
@@ -107,10 +106,11 @@ pub(super) fn plot(args: &DemoArgs, driven: &Drive) -> Result<(), PlotError> {
     let (number, drive) = record.choose(None)?;
     let truth = true_samples(driven, drive);
     if let Some(drive) = record.recording.drives.get_mut(number - 1) {
-        drive.truth = Some(truth);
+        drive.truth = truth;
     }
     let (number, drive) = record.choose(Some(number))?;
-    write_figures(drive, &FigureKind::ALL, &args.out.join(FIGURES))?;
+    let (figures, _) = plot::draw(drive, FigureKind::ALL);
+    write_figures(&figures, &args.out.join(FIGURES), Figure::to_svg)?;
     write_report(&record, number, drive, &args.out)?;
     write_animation(&record, drive, &args.out)?;
     Ok(())

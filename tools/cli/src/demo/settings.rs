@@ -17,7 +17,7 @@ use singletrack_sim::{
 };
 use singletrackd::StartOptions;
 
-use super::arguments::{Car, DemoArgs};
+use super::{Car, DemoArgs};
 
 /// The paper's circle: radius in m, angular velocity in rad/s.
 pub(super) const RADIUS: f64 = 1.0;

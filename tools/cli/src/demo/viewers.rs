@@ -9,7 +9,7 @@ use std::{
 use singletrack_core::config::PageSection;
 use singletrack_viewers::page::{OtherCar, Page};
 
-use super::arguments::DemoArgs;
+use super::DemoArgs;
 
 /// The servers that the options ask for. They end when this value is dropped.
 #[derive(Default)]

@@ -2,15 +2,14 @@
 
 use std::error::Error;
 
+use singletrack_figures::output::write;
 use singletrack_pilot::{Mode, PilotRequest};
 use singletrack_scenario::{virtual_drive::VirtualDrive, virtual_record::VirtualRecord};
 use singletrack_sim::TimedTruth;
 
 use super::{
-    DemoArgs,
-    files::BoardFigures,
-    files::{CONFIGURATION, RECORD, SIMULATION, write},
-    outcome::{Drive, Ended, Progress},
+    DemoArgs, Drive, Ended, Progress,
+    files::{BoardFigures, CONFIGURATION, RECORD, SIMULATION},
     settings,
 };
 use crate::interrupt::Interrupt;

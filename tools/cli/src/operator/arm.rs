@@ -163,7 +163,7 @@ impl Drive {
                 match renewal()? {
                     Some((renewal, note)) => {
                         self.held.connection.send(&renewal)?;
-                        self.progress.note(note);
+                        self.progress.bar.set_message(note);
                     }
                     None => is_let_go = true,
                 }
@@ -223,38 +223,21 @@ fn is_over(mode: &str) -> bool {
 struct Progress {
     what: &'static str,
     bar: ProgressBar,
-    mode: String,
-    note: String,
 }
 
 impl Progress {
     fn new(what: &'static str) -> Self {
         Self {
             what,
-            bar: progress_bar(0, "{msg}"),
-            mode: "mode arming".to_owned(),
-            note: String::new(),
+            bar: progress_bar(0, "{prefix}  {msg}").with_prefix("mode arming"),
         }
     }
 
     /// Shows how the drive goes on.
-    fn show(&mut self, state: &Ended, drive_time_s: Option<f64>) {
+    fn show(&self, state: &Ended, drive_time_s: Option<f64>) {
         let time = drive_time_s.map(|time_s| format!(" {time_s:5.1} s"));
-        self.mode = state.to_string() + &time.unwrap_or_default();
-        self.draw();
-    }
-
-    /// Shows another note beside the mode.
-    fn note(&mut self, note: String) {
-        if note != self.note {
-            self.note = note;
-            self.draw();
-        }
-    }
-
-    fn draw(&self) {
-        let Self { mode, note, .. } = self;
-        self.bar.set_message(format!("{mode}  {note}"));
+        self.bar
+            .set_prefix(state.to_string() + &time.unwrap_or_default());
     }
 
     /// Prints how the drive ended, and chooses the exit status.

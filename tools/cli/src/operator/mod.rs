@@ -13,11 +13,9 @@ pub mod import;
 pub mod jog;
 pub mod recover;
 pub mod replay;
-pub mod set_reference;
 pub mod setpoint;
 pub mod status;
 pub(crate) mod terminal;
-pub mod tune;
 
 use std::{error::Error, process::ExitCode};
 
@@ -70,11 +68,11 @@ pub enum OperatorCommand {
     /// One command for several cars, each with a daemon of its own.
     Fleet(fleet::FleetArgs),
     /// Replace the reference of a standing car; it lasts until the configuration is reloaded.
-    SetReference(set_reference::SetReferenceArgs),
+    SetReference(control::SetReferenceArgs),
     /// Stream set-points from standard input to a car whose reference is external.
     Setpoint(setpoint::SetpointArgs),
     /// Change gains or p within the bounds of the configuration, also while the car drives.
-    Tune(tune::TuneArgs),
+    Tune(control::TuneArgs),
     /// Drive with a game-pad: one button lets the car drive itself, the other enables the sticks.
     Drive(drive::DriveArgs),
 }
@@ -102,9 +100,9 @@ pub fn run(command: &OperatorCommand) -> Result<ExitCode, Box<dyn Error>> {
         Of::Disarm(args) => control::disarm(args)?,
         Of::Stop(args) => control::stop(args)?,
         Of::Fleet(args) => return fleet::run(args),
-        Of::SetReference(args) => set_reference::run(args)?,
+        Of::SetReference(args) => control::set_reference(args)?,
         Of::Setpoint(args) => setpoint::run(args)?,
-        Of::Tune(args) => tune::run(args)?,
+        Of::Tune(args) => control::tune(args)?,
         Of::Drive(args) => return drive::run(args),
     }
     Ok(ExitCode::SUCCESS)

@@ -6,7 +6,6 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_record::{RecordError, Recovery};
 
 use crate::{operator::control::print, progress::progress_bar};
 
@@ -32,18 +31,13 @@ pub fn run(args: &RecoverArgs) -> Result<(), Box<dyn Error>> {
         Some(output) => output.clone(),
         None => default_output(&args.record),
     };
-    let recovery = recover(&args.record, &output)?;
-    print(&format!("{}: {recovery}", output.display()))
-}
-
-fn recover(record: &Path, output: &Path) -> Result<Recovery, RecordError> {
     let bar = progress_bar(0, "{bar:30} {percent:>3} %  {bytes} read");
-    let result = singletrack_record::recover(record, output, |done, of| {
+    let result = singletrack_record::recover(&args.record, &output, |done, of| {
         bar.set_length(of);
         bar.set_position(done);
     });
     bar.finish_and_clear();
-    result
+    print(&format!("{}: {}", output.display(), result?))
 }
 
 /// The name that the record would have got, had it been finished.

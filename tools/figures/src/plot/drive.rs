@@ -1,16 +1,10 @@
 //! The drives in a record: inputs and outputs of their ticks, in SI units, over
 //! the time since the first driving tick.
 
-use std::sync::Arc;
-
 use singletrack_control::Time;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord, seconds_since};
-
-use super::sample::{TruthSample, lost_markers};
-use crate::figure::Column;
-
-pub use super::sample::{BoardPoint, TickSample};
+use singletrack_statistics::Distribution;
 
 /// The drives of a record.
 #[derive(Clone, Debug, Default)]
@@ -60,13 +54,9 @@ pub struct Drive {
     pub configuration: Option<u32>,
     /// The mode that the drive led to, and why; none if the record ends before.
     pub ended: Option<(Mode, Option<Reason>)>,
-    /// Ground truth, if the car is simulated.
-    pub truth: Option<Vec<TruthSample>>,
+    /// Ground truth; empty unless the car is simulated.
+    pub truth: Vec<TruthSample>,
 }
-
-/// Ticks farther apart than this were not neighbours, in s: a line between them
-/// would be invented.
-const GAP: f64 = 0.25;
 
 impl Recording {
     /// Takes in the next entry of the record.
@@ -116,7 +106,7 @@ impl Recording {
                 board: Vec::new(),
                 configuration: self.configuration,
                 ended: None,
-                truth: None,
+                truth: Vec::new(),
             });
         }
         if let Some(drive) = self.open_drive() {
@@ -165,6 +155,7 @@ impl Drive {
             yaw: of_estimate(|estimate| estimate.yaw),
             point,
             reference: pair(reference.and_then(|reference| reference.position)),
+            nominal: [f64::NAN; 2],
             point_velocity: pair(output.point_velocity),
             commanded_speed: output.actuation.speed,
             steering: output.actuation.steering,
@@ -226,65 +217,30 @@ impl Drive {
         driving.map_or(0.0, |tick| tick.time)
     }
 
-    /// A number for each tick, with a gap where ticks are missing.
-    pub fn column(&self, value: impl Fn(&TickSample) -> f64) -> Column {
-        self.spread(self.ticks.iter().map(value))
-    }
-
-    /// The same for given numbers, one for each tick.
-    pub fn spread(&self, values: impl IntoIterator<Item = f64>) -> Column {
-        with_gaps(self.ticks.iter().map(|tick| tick.time), values)
-    }
-
-    /// A number for each of the board's samples, with a gap where samples are missing.
-    pub fn board_column(&self, value: impl Fn(&BoardPoint) -> f64) -> Column {
-        let times = self.board.iter().map(|sample| sample.time);
-        with_gaps(times, self.board.iter().map(value))
-    }
-
-    /// A number for each sample of the ground truth; empty without it.
-    pub fn truth_column(&self, value: impl Fn(&TruthSample) -> f64) -> Column {
-        self.spread_truth(self.truth.iter().flatten().map(value))
-    }
-
-    /// The same for given numbers, one for each sample of the ground truth.
-    pub fn spread_truth(&self, values: impl IntoIterator<Item = f64>) -> Column {
-        with_gaps(
-            self.truth.iter().flatten().map(|sample| sample.time),
-            values,
-        )
-    }
-
-    /// Where P should be at each tick, in m: the reference, or for a reference that
+    /// Sets where P should be at each tick: the reference, or for a reference that
     /// is a velocity alone the integral of the velocity that was commanded, from
     /// where P was at first. Not a number once the car no longer follows.
-    pub fn nominal(&self) -> Vec<[f64; 2]> {
-        if self.has_positions() {
-            return self.ticks.iter().map(|tick| tick.reference).collect();
+    pub(super) fn set_nominal(&mut self) {
+        let (has_positions, is_estimated) = (self.has_positions(), self.is_estimated());
+        let mut before: Option<TickSample> = None;
+        for tick in &mut self.ticks {
+            if has_positions {
+                tick.nominal = tick.reference;
+                continue;
+            }
+            if !is_estimated || !matches!(tick.mode, Mode::Driving | Mode::Slowing) {
+                continue;
+            }
+            tick.nominal = before.map_or(tick.point, |before| {
+                let elapsed = tick.time - before.time;
+                // Nothing is commanded while the car slows down blindly.
+                let velocity = |it: f64| if it.is_finite() { it } else { 0.0 };
+                [0, 1].map(|axis: usize| {
+                    before.nominal[axis] + elapsed * velocity(before.point_velocity[axis])
+                })
+            });
+            before = Some(*tick);
         }
-        let mut nominal = [f64::NAN; 2];
-        let mut before: Option<&TickSample> = None;
-        let is_estimated = self.is_estimated();
-        self.ticks
-            .iter()
-            .map(|tick| {
-                if !is_estimated || !matches!(tick.mode, Mode::Driving | Mode::Slowing) {
-                    return [f64::NAN; 2];
-                }
-                match before {
-                    None => nominal = tick.point,
-                    Some(before) => {
-                        let elapsed = tick.time - before.time;
-                        for (nominal, velocity) in nominal.iter_mut().zip(before.point_velocity) {
-                            // Nothing is commanded while the car slows down blindly.
-                            *nominal += elapsed * if velocity.is_finite() { velocity } else { 0.0 };
-                        }
-                    }
-                }
-                before = Some(tick);
-                nominal
-            })
-            .collect()
     }
 
     /// Whether the reference is a position.
@@ -292,36 +248,22 @@ impl Drive {
         self.ticks.iter().any(|tick| tick.reference[0].is_finite())
     }
 
-    /// How far P is from where it should be at each tick, in m.
-    pub fn tracking_error(&self) -> Vec<f64> {
-        let nominal = self.nominal();
-        let pairs = self.ticks.iter().zip(nominal);
-        pairs
-            .map(|(tick, nominal)| distance(tick.point, nominal))
-            .collect()
-    }
-
-    /// How far the true P is from where it should be, at each moment of the truth, in
-    /// m; empty without ground truth.
-    pub fn true_errors(&self) -> Vec<f64> {
-        let nominal = self.nominal();
-        let should = |time: f64| {
-            let after = self.ticks.partition_point(|tick| tick.time < time);
-            let before = after.saturating_sub(1);
-            let (one, other) = (self.ticks.get(before)?, self.ticks.get(after)?);
-            let elapsed = other.time - one.time;
-            let part = if elapsed > 0.0 {
-                (time - one.time) / elapsed
-            } else {
-                0.0
-            };
-            let (from, to) = (nominal.get(before)?, nominal.get(after)?);
-            Some([0, 1].map(|axis: usize| from[axis] + part * (to[axis] - from[axis])))
+    /// How far the true P is from where it should be at that moment, in m.
+    pub fn true_error(&self, sample: &TruthSample) -> f64 {
+        let after = self.ticks.partition_point(|tick| tick.time < sample.time);
+        let before = self.ticks.get(after.saturating_sub(1));
+        let Some((one, other)) = before.zip(self.ticks.get(after)) else {
+            return f64::NAN;
         };
-        let truth = self.truth.iter().flatten();
-        truth
-            .map(|sample| distance(sample.point, should(sample.time).unwrap_or([f64::NAN; 2])))
-            .collect()
+        let elapsed = other.time - one.time;
+        let part = if elapsed > 0.0 {
+            (sample.time - one.time) / elapsed
+        } else {
+            0.0
+        };
+        let (from, to) = (one.nominal, other.nominal);
+        let nominal = [0, 1].map(|axis: usize| from[axis] + part * (to[axis] - from[axis]));
+        distance(sample.point, nominal)
     }
 
     /// Whether the lateness of every tick is zero: time was virtual, or the log does not have it.
@@ -335,28 +277,229 @@ impl Drive {
     }
 }
 
-/// From one point to another; not a number if one of them is none.
-pub fn distance(one: [f64; 2], other: [f64; 2]) -> f64 {
-    let ([x, y], [other_x, other_y]) = (one, other);
-    (x - other_x).hypot(y - other_y)
-}
-
 fn pair<V: Into<[f64; 2]>>(vector: Option<V>) -> [f64; 2] {
     vector.map_or([f64::NAN; 2], Into::into)
 }
 
-fn with_gaps(
-    times: impl IntoIterator<Item = f64>,
-    values: impl IntoIterator<Item = f64>,
-) -> Column {
-    let mut column = Vec::new();
-    let mut before: Option<f64> = None;
-    for (time, value) in times.into_iter().zip(values) {
-        if before.is_some_and(|before| time - before > GAP) {
-            column.push(f64::NAN);
-        }
-        before = Some(time);
-        column.push(value);
+/// Ground truth at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthSample {
+    /// Since the first driving tick, in s.
+    pub time: f64,
+    /// The true P, world frame, in m.
+    pub point: [f64; 2],
+    /// Steering angle of the front wheels, in rad.
+    pub steering: f64,
+    /// Speed of G, in m/s.
+    pub speed: f64,
+    /// Sideslip of G, in rad.
+    pub sideslip: f64,
+    /// Yaw rate, in rad/s.
+    pub yaw_rate: f64,
+}
+
+/// Inputs and outputs of a tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickSample {
+    /// Since the first driving tick, in s.
+    pub time: f64,
+    /// The mode after the tick.
+    pub mode: Mode,
+    /// Whether no new pose came since the tick before.
+    pub held: bool,
+    /// G as estimated, world frame, in m.
+    pub place: [f64; 2],
+    /// Yaw as estimated, in rad.
+    pub yaw: f64,
+    /// P as estimated, world frame, in m.
+    pub point: [f64; 2],
+    /// Where P should be, in m; not a number for a reference that is a velocity alone.
+    pub reference: [f64; 2],
+    /// Where P should be, in m: the reference, or the integral of one that is a velocity alone.
+    pub nominal: [f64; 2],
+    /// The velocity commanded of P, in m/s.
+    pub point_velocity: [f64; 2],
+    /// Speed of G that was asked for, after limits, in m/s.
+    pub commanded_speed: f64,
+    /// Steering angle that was asked for, after limits, in rad.
+    pub steering: f64,
+    /// Speed of G as estimated, in m/s.
+    pub speed: f64,
+    /// Sideslip as estimated, in rad.
+    pub sideslip: f64,
+    /// Yaw rate as estimated, in rad/s.
+    pub yaw_rate: f64,
+    /// How late the tick began, in s.
+    pub lateness: f64,
+    /// From the mid-exposure of a new pose to the command that rests on it, in s.
+    pub latency: f64,
+    /// Points of the control grid skipped just before it.
+    pub skipped: u32,
+    /// Frames since the tick before that had no valid pose.
+    pub poses_missing: u32,
+}
+
+impl TickSample {
+    /// How far P is from where it should be, in m.
+    pub fn error(&self) -> f64 {
+        distance(self.point, self.nominal)
     }
-    Arc::from(column)
+}
+
+/// Measurements of the board.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoardPoint {
+    /// Since the first driving tick, in s.
+    pub time: f64,
+    /// Speed of the rear axle by the motor's pulses, in m/s.
+    pub motor_speed: f64,
+    /// Yaw rate by the gyro, in rad/s; not a number without a new sample.
+    pub yaw_rate: f64,
+}
+
+/// What is plotted over its time.
+pub(super) trait Sample {
+    /// Since the first driving tick, in s.
+    fn time(&self) -> f64;
+}
+
+impl Sample for TickSample {
+    fn time(&self) -> f64 {
+        self.time
+    }
+}
+
+impl Sample for BoardPoint {
+    fn time(&self) -> f64 {
+        self.time
+    }
+}
+
+impl Sample for TruthSample {
+    fn time(&self) -> f64 {
+        self.time
+    }
+}
+
+/// From one point to another; not a number if one of them is none.
+pub(super) fn distance(one: [f64; 2], other: [f64; 2]) -> f64 {
+    let ([x, y], [other_x, other_y]) = (one, other);
+    (x - other_x).hypot(y - other_y)
+}
+
+/// How many usual intervals between new poses may pass: one tick without a pose is
+/// the beat of two clocks, two are a loss.
+const INTERVALS: f64 = 2.5;
+/// The same for ticks that had no word of the cameras either: frames that are merely
+/// late are not a loss.
+const SILENT_INTERVALS: f64 = 5.5;
+
+/// The spans in which no new pose came for longer than usual, because frames had none
+/// or because there were no frames: from the first tick
+/// that had to hold the last one until the one with the next, in s.
+///
+/// The usual interval is the median time between ticks with a new pose, so that cameras
+/// slower than the control loop are not a loss.
+pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
+    let fresh: Vec<f64> = ticks
+        .iter()
+        .filter(|tick| !tick.held)
+        .map(|tick| tick.time)
+        .collect();
+    let intervals = Distribution::of(fresh.windows(2).map(|pair| pair[1] - pair[0]));
+    let usual = intervals.sorted().get(intervals.count() / 2).copied();
+
+    let mut spans = Vec::new();
+    for run in ticks.chunk_by(|one, other| one.held == other.held) {
+        let (Some(first), Some(last)) = (run.first(), run.last()) else {
+            continue;
+        };
+        if !first.held {
+            continue;
+        }
+        let before = fresh.partition_point(|time| *time < first.time);
+        let seen = before
+            .checked_sub(1)
+            .and_then(|index| fresh.get(index))
+            .copied();
+        let until = fresh.get(before).copied().unwrap_or(last.time);
+        // At the start of a drive the last pose is at most a tick older.
+        let blind = until - seen.unwrap_or(first.time);
+        let told = run.iter().any(|tick| tick.poses_missing > 0);
+        let intervals = if told { INTERVALS } else { SILENT_INTERVALS };
+        if usual.is_none_or(|usual| blind > intervals * usual) && until > first.time {
+            spans.push([first.time, until]);
+        }
+    }
+    spans
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_pilot::Mode;
+
+    use super::*;
+
+    /// Ticks 10 ms apart: with a new pose, with a frame that has none (x), or with no
+    /// frame at all (-).
+    fn ticks(pattern: &str) -> Vec<TickSample> {
+        pattern
+            .chars()
+            .zip(0_u32..)
+            .map(|(kind, index)| TickSample {
+                time: f64::from(index) / 100.0,
+                mode: Mode::Driving,
+                held: kind != '.',
+                place: [0.0; 2],
+                yaw: 0.0,
+                point: [0.0; 2],
+                reference: [0.0; 2],
+                nominal: [0.0; 2],
+                point_velocity: [0.0; 2],
+                commanded_speed: 0.0,
+                steering: 0.0,
+                speed: 0.0,
+                sideslip: 0.0,
+                yaw_rate: 0.0,
+                lateness: 0.0,
+                latency: 0.0,
+                skipped: 0,
+                poses_missing: u32::from(kind == 'x'),
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_single_held_tick_is_no_loss_and_two_are() {
+        assert_eq!(lost_markers(&ticks(".....x.....x....")), [[0.0; 2]; 0]);
+        assert_eq!(lost_markers(&ticks(".....xx.........")), [[0.05, 0.07]]);
+    }
+
+    #[test]
+    fn frames_that_are_late_are_no_loss_and_silence_is() {
+        assert_eq!(lost_markers(&ticks("......---........")), [[0.0; 2]; 0]);
+        assert_eq!(lost_markers(&ticks("......-----......")), [[0.06, 0.11]]);
+        assert_eq!(lost_markers(&ticks("......-x---......")), [[0.06, 0.11]]);
+    }
+
+    #[test]
+    fn every_loss_has_its_own_span_up_to_the_end() {
+        let spans = lost_markers(&ticks("....xxxx......xxx...xxx"));
+        assert_eq!(spans, [[0.04, 0.08], [0.14, 0.17], [0.20, 0.22]]);
+    }
+
+    #[test]
+    fn slow_cameras_are_not_a_loss_but_their_losses_are() {
+        assert_eq!(lost_markers(&ticks(".xxx.xxx.xxx.xxx.xx")), [[0.0; 2]; 0]);
+        assert_eq!(
+            lost_markers(&ticks(".xxx.xxx.xxx.xxxxxxxxxxx.xxx.xxx")),
+            [[0.13, 0.24]]
+        );
+    }
+
+    #[test]
+    fn a_drive_that_saw_nothing_is_one_loss() {
+        assert_eq!(lost_markers(&ticks("xxxxx")), [[0.0, 0.04]]);
+        assert_eq!(lost_markers(&[]), [[0.0; 2]; 0]);
+    }
 }

@@ -5,7 +5,6 @@ pub mod drive;
 mod figures;
 mod read;
 mod report;
-mod sample;
 mod summary;
 
 use std::path::{Path, PathBuf};
@@ -13,13 +12,14 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 pub use animation::ANIMATION;
+pub use drive::TruthSample;
 pub use figures::FigureKind;
 pub use read::{PlotError, Record};
-pub use sample::TruthSample;
+pub use summary::because;
 
 use crate::{
     figure::Figure,
-    output::{make_folder, print, write},
+    output::{WriteError, print, write_into},
 };
 use drive::{Drive, Recording};
 
@@ -73,15 +73,6 @@ pub enum PlotFormat {
     Html,
 }
 
-/// What was written, and what was not.
-#[derive(Clone, Debug, Default)]
-pub struct Plotted {
-    /// The files.
-    pub files: Vec<PathBuf>,
-    /// Figures that the drive lacks something for.
-    pub missing: Vec<(FigureKind, &'static str)>,
-}
-
 /// Plots a record. Prints the names of the files on standard output, and notes on
 /// standard error.
 ///
@@ -103,10 +94,9 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     }
     let (record, number, drive) = choose(&records, args.drive)?;
     let out = args.out.clone().unwrap_or_else(|| beside(&record.path));
-    let figures = if args.figures.is_empty() {
-        FigureKind::of(drive).collect()
-    } else {
-        args.figures.clone()
+    let figures = match args.figures.is_empty() {
+        true => FigureKind::of(drive).collect(),
+        false => args.figures.clone(),
     };
     let formats = match (args.format.is_empty(), args.figures.is_empty()) {
         (false, _) => &args.format[..],
@@ -114,31 +104,45 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
         (true, true) => &[PlotFormat::Svg, PlotFormat::Html],
         (true, false) => &[PlotFormat::Svg],
     };
-    let mut plotted = Plotted::default();
-    if formats.contains(&PlotFormat::Svg) {
-        plotted = write_figures(drive, &figures, &out)?;
-    }
-    if formats.contains(&PlotFormat::Screen) {
-        let screen = write_each(drive, &figures, &out.join("screen"), Figure::to_screen_svg)?;
-        plotted.files.extend(screen.files);
-        plotted.missing = screen.missing;
+    let mut files = Vec::new();
+    if formats.iter().any(|format| *format != PlotFormat::Html) {
+        let (figures, missing) = draw(drive, figures);
+        if formats.contains(&PlotFormat::Svg) {
+            files.extend(write_figures(&figures, &out, Figure::to_svg)?);
+        }
+        if formats.contains(&PlotFormat::Screen) {
+            let folder = out.join("screen");
+            files.extend(write_figures(&figures, &folder, Figure::to_screen_svg)?);
+        }
+        for (kind, why) in missing {
+            eprintln!("singletrack: no figure {}: {why}", kind.name());
+        }
     }
     if args.animate {
-        plotted.files.push(write_animation(record, drive, &out)?);
+        files.push(write_animation(record, drive, &out)?);
     }
     if formats.contains(&PlotFormat::Html) {
-        plotted
-            .files
-            .push(write_report(record, number, drive, &out)?);
+        files.push(write_report(record, number, drive, &out)?);
     }
-    for (kind, why) in &plotted.missing {
-        eprintln!("singletrack: no figure {}: {why}", kind.name());
-    }
-    let files = plotted.files.iter();
-    let files: String = files.map(|file| format!("{}\n", file.display())).collect();
+    let lines = files.iter().map(|file| format!("{}\n", file.display()));
     // They are there whether or not anyone reads their names.
-    let _ = print(&files);
+    let _ = print(&lines.collect::<String>());
     Ok(())
+}
+
+/// Figures of a drive, and why those are missing that the drive lacks something for.
+type Drawn = (Vec<(FigureKind, Figure)>, Vec<(FigureKind, &'static str)>);
+
+/// Draws figures of a drive.
+pub fn draw(drive: &Drive, kinds: impl IntoIterator<Item = FigureKind>) -> Drawn {
+    let (mut figures, mut missing) = (Vec::new(), Vec::new());
+    for kind in kinds {
+        match kind.draw(drive) {
+            Ok(figure) => figures.push((kind, figure)),
+            Err(why) => missing.push((kind, why)),
+        }
+    }
+    (figures, missing)
 }
 
 /// A drive, with its record and its number in that, from 1.
@@ -223,7 +227,7 @@ impl Record {
             Some(last) => format!(
                 "in {ticks} ticks the car was never driven; the last mode was {}{}",
                 last.mode,
-                summary::because(last.reason)
+                because(last.reason)
             ),
         };
         self.missing(format!(
@@ -257,38 +261,19 @@ impl Record {
     }
 }
 
-/// Writes a file for each figure of a drive into `folder`.
+/// Writes a file for each figure into `folder`, as `svg` makes it of a figure. Returns their paths.
 ///
 /// # Errors
 ///
 /// When one can't be written.
 pub fn write_figures(
-    drive: &Drive,
-    figures: &[FigureKind],
-    folder: &Path,
-) -> Result<Plotted, PlotError> {
-    write_each(drive, figures, folder, Figure::to_svg)
-}
-
-fn write_each(
-    drive: &Drive,
-    figures: &[FigureKind],
+    figures: &[(FigureKind, Figure)],
     folder: &Path,
     svg: fn(&Figure) -> String,
-) -> Result<Plotted, PlotError> {
-    make_folder(folder)?;
-    let mut plotted = Plotted::default();
-    for kind in figures {
-        match kind.draw(drive) {
-            Ok(figure) => {
-                let path = folder.join(kind.file_name());
-                write(&path, &svg(&figure))?;
-                plotted.files.push(path);
-            }
-            Err(why) => plotted.missing.push((*kind, why)),
-        }
-    }
-    Ok(plotted)
+) -> Result<Vec<PathBuf>, WriteError> {
+    let write =
+        |(kind, figure): &(FigureKind, Figure)| write_into(folder, &kind.file_name(), &svg(figure));
+    figures.iter().map(write).collect()
 }
 
 /// Writes the animation of a drive into `folder`. Returns its path.
@@ -304,10 +289,7 @@ pub fn write_animation(
     let configuration = record.configuration(drive).unwrap_or_default();
     let picture = animation::animation(drive, configuration)
         .map_err(|why| record.missing(format!("no animation: {why}")))?;
-    make_folder(folder)?;
-    let path = folder.join(ANIMATION);
-    write(&path, &picture)?;
-    Ok(path)
+    Ok(write_into(folder, ANIMATION, &picture)?)
 }
 
 /// The name of the report's file.
@@ -327,11 +309,8 @@ pub fn write_report(
     number: usize,
     drive: &Drive,
     folder: &Path,
-) -> Result<PathBuf, PlotError> {
-    make_folder(folder)?;
-    let path = folder.join(REPORT);
-    write(&path, &report::report(record, number, drive))?;
-    Ok(path)
+) -> Result<PathBuf, WriteError> {
+    write_into(folder, REPORT, &report::report(record, number, drive))
 }
 
 /// The folder of a record's figures: `drives/one.mcap` has `drives/one`.

@@ -2,11 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_record::{Ending, Meta, Reader, RecordError, Topic};
 
 use super::drive::{Drive, Recording};
-use crate::output::WriteError;
+use crate::output::{WriteError, progress_bar};
 
 /// A record that has been read.
 #[derive(Clone, Debug)]
@@ -39,7 +38,8 @@ impl Record {
             Topic::Drops,
         ]);
         let meta = reader.meta.clone();
-        let progress = progress(path);
+        let progress = progress_bar(0, "{spinner} {msg}: {human_pos} entries");
+        progress.set_message(format!("reading {}", path.display()));
         let mut recording = Recording::default();
         let mut notes = Vec::new();
         let mut entries: u64 = 0;
@@ -82,6 +82,7 @@ impl Record {
                 let [x, y] = tick.point;
                 tick.point = [x - aside * tick.yaw.cos(), y - aside * tick.yaw.sin()];
             }
+            drive.set_nominal();
         }
         if let Some(aside) = aside.into_iter().find(|aside| *aside != 0.0) {
             self.notes.push(format!(
@@ -115,16 +116,6 @@ impl Record {
             }
         }
     }
-}
-
-/// Hidden when standard error is no terminal.
-fn progress(path: &Path) -> ProgressBar {
-    let bar = ProgressBar::new_spinner();
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}: {human_pos} entries") {
-        bar.set_style(style);
-    }
-    bar.set_message(format!("reading {}", path.display()));
-    bar
 }
 
 /// Why plotting failed.

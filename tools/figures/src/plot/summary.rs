@@ -36,11 +36,10 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
         )),
     );
     add("ended", Some(ended(record, drive)));
-    let times = ticks.iter().map(|tick| tick.time);
-    let estimated = times.zip(drive.tracking_error());
+    let estimated = ticks.iter().map(|tick| (tick.time, tick.error()));
     add("tracking error", errors(drive, estimated));
-    let times = drive.truth.iter().flatten().map(|sample| sample.time);
-    let real = times.zip(drive.true_errors());
+    let truth = drive.truth.iter();
+    let real = truth.map(|sample| (sample.time, drive.true_error(sample)));
     add("true tracking error", errors(drive, real));
     let speed = Distribution::of(ticks.iter().map(|tick| tick.speed));
     add(
@@ -119,7 +118,7 @@ fn many(count: usize, what: &str) -> String {
 }
 
 /// The reason of a mode in brackets, if it has one.
-pub(super) fn because(reason: Option<Reason>) -> String {
+pub fn because(reason: Option<Reason>) -> String {
     reason.map_or_else(String::new, |reason| format!(" ({reason})"))
 }
 

@@ -3,8 +3,8 @@
 use super::{
     log::ImportError,
     log::Log,
-    map::{Acceleration, ImuSection, Map, MotorSection, Quantity, nanoseconds},
-    row::{Header, Place, Row},
+    map::{Acceleration, ImuSection, Map, MotorSection, Quantity, interpolation, nanoseconds},
+    row::{Header, Row},
     samples::Series,
     sensor::{Column, Poses, Sensor},
 };
@@ -14,7 +14,7 @@ pub(super) struct Columns<'a> {
     poses: Poses<'a>,
     imu: Option<Sensor<3>>,
     motor: Sensor<1>,
-    driving: Option<Driving>,
+    driving: Option<Sensor<1>>,
     steering: Sensor<1>,
     speed_command: Option<Sensor<1>>,
 }
@@ -31,10 +31,11 @@ impl<'a> Columns<'a> {
             motor: motor(header, &map.motor)?,
             driving: match &map.driving {
                 None => None,
-                Some(section) => Some(Driving {
-                    place: header.find("driving.column", section.messages(), &section.column)?,
-                    changes: Vec::new(),
-                }),
+                Some(section) => {
+                    let place =
+                        header.find("driving.column", section.messages(), &section.column)?;
+                    Some(Sensor::new([Column::flag(place)], None, 0))
+                }
             },
             steering: {
                 let (section, key) = (&map.steering, "steering.column");
@@ -59,15 +60,14 @@ impl<'a> Columns<'a> {
         if let Some(imu) = &mut self.imu {
             imu.take(row, time_ns)?;
         }
-        self.motor.take(row, time_ns)?;
-        if let Some(driving) = &mut self.driving {
-            driving.take(row, time_ns)?;
-        }
-        self.steering.take(row, time_ns)?;
-        match &mut self.speed_command {
-            Some(command) => command.take(row, time_ns),
-            None => Ok(()),
-        }
+        let others = [
+            Some(&mut self.motor),
+            self.driving.as_mut(),
+            Some(&mut self.steering),
+            self.speed_command.as_mut(),
+        ];
+        let mut others = others.into_iter().flatten();
+        others.try_for_each(|sensor| sensor.take(row, time_ns))
     }
 
     /// What the rows say.
@@ -84,12 +84,18 @@ impl<'a> Columns<'a> {
             end_ns,
             exposures_are_known: map.pose.exposures_hz.is_some(),
             poses: self.poses.poses,
-            inertial: inertial
-                .map(|(sensor, imu)| Series::new(sensor.samples, imu.interpolation())),
-            motor_speed: Series::new(self.motor.samples, map.motor.interpolation()),
+            inertial: inertial.map(|(sensor, imu)| {
+                let interpolation = interpolation(imu.interpolate_hz, imu.longest_gap_s);
+                Series::new(sensor.samples, interpolation)
+            }),
+            motor_speed: {
+                let interpolation =
+                    interpolation(map.motor.interpolate_hz, map.motor.longest_gap_s);
+                Series::new(self.motor.samples, interpolation)
+            },
             steering: Series::new(steering, None),
             speed_command: self.speed_command.map(held),
-            driving: self.driving.map(|driving| driving.changes),
+            driving: self.driving.map(held),
             tick_ns: u64::from(map.tick_ms) * 1_000_000,
             phase_ns: match map.pose.exposures_hz {
                 None => 0,
@@ -121,24 +127,4 @@ fn motor(header: &mut impl Header, section: &MotorSection) -> Result<Sensor<1>, 
     let key = "motor.new_when_changes";
     let changes = header.find_if(key, messages, &section.new_when_changes)?;
     Ok(Sensor::new([column], changes, nanoseconds(section.delay_s)))
-}
-
-/// Whether the car is driven.
-struct Driving {
-    place: Place,
-    changes: Vec<(u64, bool)>,
-}
-
-impl Driving {
-    fn take(&mut self, row: &impl Row, time_ns: u64) -> Result<(), ImportError> {
-        if !row.has(self.place) || row.is_empty(self.place) {
-            return Ok(());
-        }
-        let is_driving = row.flag(self.place)?;
-        let last = self.changes.last();
-        if last.is_none_or(|(_, last)| *last != is_driving) {
-            self.changes.push((time_ns, is_driving));
-        }
-        Ok(())
-    }
 }

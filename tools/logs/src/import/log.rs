@@ -82,8 +82,8 @@ pub(super) struct Log {
     pub(super) steering: Series<1>,
     /// The speed that is commanded, in m/s; `None` if the log has no such command.
     pub(super) speed_command: Option<Series<1>>,
-    /// Changes between driving and not driving; `None` if the log does not say it.
-    pub(super) driving: Option<Vec<(u64, bool)>>,
+    /// 1 while the car is driven, else 0; `None` if the log does not say it.
+    pub(super) driving: Option<Series<1>>,
     /// The period of the ticks.
     pub(super) tick_ns: u64,
     /// From the first row to the first tick: with regular exposures, ticks come a fifth of a period
@@ -94,12 +94,8 @@ pub(super) struct Log {
 impl Log {
     /// Whether the car is driven: always, if the log does not say it.
     pub(super) fn is_driving(&self, time_ns: u64) -> bool {
-        let Some(changes) = &self.driving else {
-            return true;
-        };
-        let after = changes.partition_point(|(change_ns, _)| *change_ns <= time_ns);
-        let last = after.checked_sub(1).and_then(|place| changes.get(place));
-        last.is_some_and(|(_, is_driving)| *is_driving)
+        let driving = self.driving.as_ref();
+        driving.is_none_or(|driving| Self::command(driving, time_ns) != 0.0)
     }
 
     /// A commanded value at a time; 0 before the first command.

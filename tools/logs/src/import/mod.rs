@@ -17,7 +17,6 @@
 //! error with its line and column, or with its topic and the number of the message.
 
 mod bag;
-mod board;
 mod columns;
 mod csv_log;
 mod decimal;

@@ -1,7 +1,5 @@
 //! Rows of a log: lines of a CSV file, or messages of a bag.
 
-use std::borrow::Cow;
-
 use super::{log::ImportError, map::Messages};
 
 /// The place of a column in the rows of a log.
@@ -38,22 +36,54 @@ pub(super) trait Header {
     }
 }
 
+/// A value in a row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Cell<'a> {
+    Empty,
+    Number(f64),
+    /// As a file has it: a number, or not.
+    Text(&'a str),
+}
+
+impl<'a> Cell<'a> {
+    /// The cell with this text.
+    pub(super) const fn of(text: &'a str) -> Self {
+        if text.is_empty() {
+            Self::Empty
+        } else {
+            Self::Text(text)
+        }
+    }
+
+    /// The value as text, to compare it with that of another row.
+    pub(super) fn text(self) -> String {
+        match self {
+            Self::Empty => String::new(),
+            Self::Number(number) => number.to_string(),
+            Self::Text(text) => text.to_owned(),
+        }
+    }
+}
+
 /// A row of a log.
 pub(super) trait Row {
     /// Whether the row has a column at this place.
     fn has(&self, place: Place) -> bool;
 
-    /// Whether there is no value.
-    fn is_empty(&self, place: Place) -> bool;
-
-    /// The value as text, to compare it with that of another row.
-    fn text(&self, place: Place) -> Cow<'_, str>;
-
-    /// A number, which need not be finite; not a number where there is no value.
-    fn number(&self, place: Place) -> Result<f64, ImportError>;
+    /// The value at this place.
+    fn cell(&self, place: Place) -> Cell<'_>;
 
     /// The error of a value that is not what is expected.
     fn wrong(&self, place: Place, expected: &str) -> ImportError;
+
+    /// A number, which need not be finite; not a number where there is no value.
+    fn number(&self, place: Place) -> Result<f64, ImportError> {
+        match self.cell(place) {
+            Cell::Empty => Ok(f64::NAN),
+            Cell::Number(number) => Ok(number),
+            Cell::Text(text) => text.parse().map_err(|_| self.wrong(place, "a number")),
+        }
+    }
 
     /// A finite number.
     fn finite(&self, place: Place) -> Result<f64, ImportError> {
@@ -65,10 +95,21 @@ pub(super) trait Row {
     }
 
     /// Whether a value is neither 0 nor `false`.
-    fn flag(&self, place: Place) -> Result<bool, ImportError>;
+    fn flag(&self, place: Place) -> Result<bool, ImportError> {
+        let number = match self.cell(place) {
+            Cell::Text(text) if text.eq_ignore_ascii_case("true") => Ok(1.0),
+            Cell::Text(text) if text.eq_ignore_ascii_case("false") => Ok(0.0),
+            _ => self.number(place),
+        };
+        match number {
+            Ok(number) if !number.is_nan() => Ok(number != 0.0),
+            _ => Err(self.wrong(place, "a number, true or false")),
+        }
+    }
 
     /// Whether there is no value at any of these places.
     fn are_empty<const N: usize>(&self, places: [Place; N]) -> bool {
-        places.iter().all(|place| self.is_empty(*place))
+        let mut cells = places.iter().map(|place| self.cell(*place));
+        cells.all(|cell| cell == Cell::Empty)
     }
 }

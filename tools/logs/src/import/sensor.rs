@@ -31,11 +31,11 @@ impl NewRows {
         let Some(place) = self.place else {
             return true;
         };
-        let cell = row.text(place);
-        if self.before.as_deref() == Some(&*cell) {
+        let cell = row.cell(place).text();
+        if self.before.as_ref() == Some(&cell) {
             return false;
         }
-        self.before.replace(cell.into_owned()).is_some()
+        self.before.replace(cell).is_some()
     }
 }
 
@@ -44,6 +44,8 @@ impl NewRows {
 pub(super) struct Column {
     place: Place,
     conversion: Conversion,
+    /// Whether its values are taken as flags: 1 or 0.
+    is_flag: bool,
 }
 
 impl Column {
@@ -55,16 +57,16 @@ impl Column {
         quantity: &Quantity<D>,
     ) -> Result<Self, ImportError> {
         Ok(Self {
-            place: header.find(key, messages, &quantity.column)?,
             conversion: quantity.conversion,
+            ..Self::plain(header.find(key, messages, &quantity.column)?)
         })
     }
 
     /// What is not measured where this column is: NaN.
-    pub(super) const fn unmeasured(&self) -> Self {
+    pub(super) const fn unmeasured(self) -> Self {
         Self {
-            place: self.place,
             conversion: Conversion::UNMEASURED,
+            ..self
         }
     }
 
@@ -73,6 +75,15 @@ impl Column {
         Self {
             place,
             conversion: Conversion::NONE,
+            is_flag: false,
+        }
+    }
+
+    /// A column of what is so or not.
+    pub(super) const fn flag(place: Place) -> Self {
+        Self {
+            is_flag: true,
+            ..Self::plain(place)
         }
     }
 
@@ -81,9 +92,12 @@ impl Column {
         Ok(self.conversion.si(row.number(self.place)?))
     }
 
-    /// The number in SI units.
+    /// The number in SI units, or the flag.
     fn finite(&self, row: &impl Row) -> Result<f64, ImportError> {
-        Ok(self.conversion.si(row.finite(self.place)?))
+        match self.is_flag {
+            true => Ok(f64::from(u8::from(row.flag(self.place)?))),
+            false => Ok(self.conversion.si(row.finite(self.place)?)),
+        }
     }
 }
 

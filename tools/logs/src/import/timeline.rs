@@ -1,14 +1,16 @@
 //! The ticks of a record, with the events that came since the tick before.
 
-use singletrack_control::{Actuation, PoseSample, Position, Time};
+use singletrack_control::{Actuation, InertialSample, PoseSample, Position, Time};
 use singletrack_mocap::{Observation, PoseState, RejectReason};
-use singletrack_pilot::{DriveCommand, Event, LinkState, Mode, Output, PoseMissing};
+use singletrack_pilot::{
+    BoardSample, BoardState, DriveCommand, Event, LinkState, Mode, Output, PoseMissing,
+};
 use singletrack_record::{LinkPhase, MAX_EVENTS, TickRecord};
 
 use super::{
     FIRST_ROW_NS,
-    board::BoardSamples,
     log::{Log, Summary},
+    samples::Sample,
     times::Times,
 };
 
@@ -185,6 +187,60 @@ impl<'a> Timeline<'a> {
             },
             command: command.filter(|_| is_driving),
             ..Output::neutral(mode)
+        }
+    }
+}
+
+/// The samples of the board, in the order of time.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct BoardSamples {
+    /// Each with a speed of the motor.
+    pub(super) samples: Vec<BoardSample>,
+    /// Inertial samples at times at which the speed of the motor is not known.
+    pub(super) without_motor_speed: u64,
+}
+
+impl BoardSamples {
+    /// A sample for each one of the IMU; of a log without an IMU, for each one of the motor.
+    pub(super) fn new(log: &Log) -> Self {
+        let rows: Vec<_> = match &log.inertial {
+            Some(inertial) => {
+                let samples = inertial.resampled().into_iter();
+                let row =
+                    |it: Sample<3>| (it.time_ns, Some(it.values), log.motor_speed.at(it.time_ns));
+                samples.map(row).collect()
+            }
+            None => {
+                let samples = log.motor_speed.resampled().into_iter();
+                samples
+                    .map(|it| (it.time_ns, None, Some(it.values)))
+                    .collect()
+            }
+        };
+        let sample = |(time_ns, inertial, motor): &(u64, Option<[f64; 3]>, Option<[f64; 1]>)| {
+            let time = Time(*time_ns);
+            let [motor_speed] = (*motor)?;
+            let inertial = inertial.map(|[forward, left, yaw_rate]| InertialSample {
+                time,
+                yaw_rate,
+                forward_acceleration: forward,
+                left_acceleration: left,
+            });
+            let state = match log.is_driving(*time_ns) {
+                true => BoardState::Driving,
+                false => BoardState::Neutral,
+            };
+            Some(BoardSample {
+                time,
+                inertial,
+                motor_speed,
+                state,
+            })
+        };
+        let samples: Vec<_> = rows.iter().filter_map(sample).collect();
+        Self {
+            without_motor_speed: (rows.len() - samples.len()) as u64,
+            samples,
         }
     }
 }

@@ -89,16 +89,14 @@ impl Feed {
         self.history.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Publishes why there is no daemon.
-    pub(super) fn lost(&self, why: &str) {
-        self.statuses.send_replace(event("lost", &json!(why)));
-    }
-
     /// Publishes what the daemon at `socket` does for as long as a browser watches,
     /// and [`LINGER`] longer.
     pub(super) fn follow(&self, socket: &Path) -> Result<(), ClientError> {
+        if !self.is_watched() {
+            return Ok(());
+        }
         let mut asked: Option<Instant> = None;
-        self.stream(socket, |newest| {
+        let streamed = self.stream(socket, |newest| {
             if asked.is_none() {
                 // Another daemon may have answered before.
                 self.history().clear();
@@ -119,14 +117,20 @@ impl Feed {
                 self.states.send_replace(event("state", &state));
             }
             Ok(())
-        })?;
-        // Nothing old is shown to the next one.
-        self.statuses.send_replace(Arc::from(""));
-        Ok(())
+        });
+        self.statuses.send_replace(match &streamed {
+            // Nothing old is shown to the next one.
+            Ok(()) => Arc::from(""),
+            Err(error) => event("lost", &json!(error.to_string())),
+        });
+        streamed
     }
 
     /// Keeps the newest of another car for the states.
     pub(super) fn follow_other(&self, index: usize, other: &OtherCar) -> Result<(), ClientError> {
+        if !self.is_watched() {
+            return Ok(());
+        }
         let set = |value| {
             if let Some(other) = self.others().get_mut(index) {
                 *other = value;

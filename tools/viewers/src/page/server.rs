@@ -88,23 +88,12 @@ impl Page {
             places: Semaphore::new(VIEWERS),
         });
         let started = || {
-            let first = {
-                let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
-                let (lost, socket) = (Arc::clone(&shared), socket.clone());
-                Follower::start(
-                    move || watched.feed.is_watched(),
-                    move || followed.feed.follow(&socket),
-                    move |why| lost.feed.lost(&why),
-                )?
-            };
-            let mut followers = vec![first];
+            let (followed, path) = (Arc::clone(&shared), socket.clone());
+            let mut followers = vec![Follower::start(move || followed.feed.follow(&path))?];
             for (index, other) in others.into_iter().enumerate() {
-                let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
-                followers.push(Follower::start(
-                    move || watched.feed.is_watched(),
-                    move || followed.feed.follow_other(index, &other),
-                    |_| {},
-                )?);
+                let followed = Arc::clone(&shared);
+                let follow = move || followed.feed.follow_other(index, &other);
+                followers.push(Follower::start(follow)?);
             }
             let runtime = runtime::Builder::new_current_thread()
                 .enable_io()

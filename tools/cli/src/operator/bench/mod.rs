@@ -4,7 +4,6 @@
 mod change;
 mod held;
 mod journal;
-mod procedures;
 mod session;
 mod terminal;
 
@@ -36,8 +35,7 @@ use crate::{
 use held::BenchDrive;
 use terminal::Terminal;
 
-pub use procedures::{BRING_UP, CALIBRATE, DoctorArgs};
-pub use session::{Procedure, run};
+pub use session::{BRING_UP, CALIBRATE, DoctorArgs, Procedure, run};
 
 /// The longest wait for a daemon that does not read.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -146,11 +144,8 @@ impl LiveBench {
 
     /// Waits for an entry of the watched topics, renews the drive and looks for Ctrl-C.
     fn pump(&mut self) -> Result<Option<Entry>, Interrupted> {
-        let result = self.try_pump();
-        if let Err(interrupted) = &result {
-            self.interrupted = Some(interrupted.clone());
-        }
-        result
+        let pumped = self.try_pump();
+        pumped.inspect_err(|interrupted| self.interrupted = Some(interrupted.clone()))
     }
 
     fn try_pump(&mut self) -> Result<Option<Entry>, Interrupted> {

@@ -242,23 +242,17 @@ impl Watched {
                 self.source.handle_input(monotonic_ns(), input, &mut take);
             }
         }
-        match self.sockets.stream(self.source.stream(), &mut self.stream) {
-            StreamEvent::Nothing => {}
-            StreamEvent::Opened(local) => {
-                self.stream.clear();
-                self.source
-                    .handle_input(monotonic_ns(), Input::Opened(local), &mut take);
-            }
-            StreamEvent::Received => {
-                let input = Input::Stream(&self.stream);
-                let used = self.source.handle_input(monotonic_ns(), input, &mut take);
-                self.stream.drain(..used.min(self.stream.len()));
-            }
-            StreamEvent::Closed => {
-                self.stream.clear();
-                self.source
-                    .handle_input(monotonic_ns(), Input::Closed, &mut take);
-            }
+        let input = match self.sockets.stream(self.source.stream(), &mut self.stream) {
+            StreamEvent::Nothing => None,
+            StreamEvent::Received => Some(Input::Stream(&self.stream)),
+            StreamEvent::Opened(local) => Some(Input::Opened(local)),
+            StreamEvent::Closed => Some(Input::Closed),
+        };
+        if let Some(input) = input {
+            let is_stream = matches!(input, Input::Stream(_));
+            let used = self.source.handle_input(monotonic_ns(), input, &mut take);
+            let used = if is_stream { used } else { usize::MAX };
+            self.stream.drain(..used.min(self.stream.len()));
         }
         self.source.handle_timeout(monotonic_ns(), &mut take);
         self.transmit();

@@ -15,6 +15,7 @@ use singletrack_mocap::{
     encode,
     qualisys::packet::{DISCOVERY_PORT, discovery},
 };
+use singletrack_statistics::RootMeanSquare;
 
 /// A body, from all frames in which it was listed.
 #[derive(Clone, Debug, Default)]
@@ -217,8 +218,8 @@ fn mean(values: &[f64]) -> f64 {
 
 fn deviation(values: &[f64]) -> f64 {
     let mean = mean(values);
-    let squares = values.iter().map(|value| (value - mean).powi(2));
-    (squares.sum::<f64>() / values.len().max(1) as f64).sqrt()
+    let deviations = RootMeanSquare::of(values.iter().map(|value| value - mean));
+    deviations.value().unwrap_or(0.0)
 }
 
 /// How long answers are waited for.

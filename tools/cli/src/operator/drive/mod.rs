@@ -27,8 +27,7 @@ use singletrackd::monotonic_ns;
 
 use crate::operator::{
     arm::ended_as_wanted,
-    control::{ControlArgs, EMERGENCY_STOPPED, print},
-    set_reference::read_reference,
+    control::{ControlArgs, EMERGENCY_STOPPED, print, read_reference},
     terminal::wait_to_read,
 };
 use crate::{arguments::duration_within, interrupt::Interrupt};

@@ -2,6 +2,7 @@
 //! bytes.
 
 use std::{
+    borrow::Cow,
     fs::File,
     io::{self, Read},
     os::fd::AsFd as _,
@@ -13,14 +14,12 @@ use std::{
 use singletrack_protocol::{
     DecodeError, Decoder, FrameError, MAX_PAYLOAD_LENGTH, Packet, ToHost, VERSION,
 };
-use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Topic, Value};
+use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Value};
 use singletrackd::serial_port::{self, ReadHalf};
 
 use super::{
     DumpError,
-    source::{
-        Broken, Close, Content, Kind, Message, Next, PATIENCE, Row, Source, TELEMETRY, wall_ns,
-    },
+    source::{Close, Kind, Message, Next, PATIENCE, Row, Source, TELEMETRY, Times, wall_ns},
 };
 use crate::operator::terminal::wait_to_read;
 
@@ -31,90 +30,126 @@ const SHOWN_BYTES: usize = 64;
 /// A board whose clock went back by more than this has restarted.
 const RESTART_US: i32 = -1_000_000;
 
-impl Content {
+/// What a stretch of bytes up to a zero holds.
+struct Frame {
     /// The name of its kind.
-    const fn name(&self) -> &'static str {
-        match self {
-            Self::Message(ToHost::Hello(_)) => "hello",
-            Self::Message(ToHost::Telemetry(_)) => Topic::Telemetry.name(),
-            Self::Message(ToHost::Status(_)) => Topic::Status.name(),
-            Self::Message(ToHost::Acknowledgement(_)) => "acknowledgement",
-            Self::Message(ToHost::Refusal(_)) => "refusal",
-            Self::Message(ToHost::Identity(_)) => "identity",
-            Self::Broken(_) => "broken",
+    name: &'static str,
+    fields: Vec<(String, Value)>,
+    /// The message as a record has it, if it has any.
+    entry: Option<Entry>,
+    /// Why it is no frame, in a word.
+    broken: Option<&'static str>,
+    /// Where it begins, in bytes from the start.
+    offset: u64,
+    /// How many bytes it has, with the zero that ends it.
+    length: u64,
+}
+
+impl Frame {
+    fn new(name: &'static str, fields: Vec<(&str, Value)>) -> Self {
+        let fields = fields.into_iter();
+        Self {
+            name,
+            fields: fields
+                .map(|(name, value)| (name.to_owned(), value))
+                .collect(),
+            entry: None,
+            broken: None,
+            offset: 0,
+            length: 0,
         }
     }
 
-    /// Its fields, by their names.
-    fn fields(&self) -> Vec<(String, Value)> {
-        let number = |name: &str, number: u32| (name.to_owned(), Value::Unsigned(number.into()));
-        let word = |name: &str, word: &'static str| (name.to_owned(), Value::Text(word.into()));
-        let text = |name: &str, text: String| (name.to_owned(), Value::Text(text.into()));
-        match self {
-            Self::Message(ToHost::Hello(hello)) => {
+    /// Of a message of the board.
+    fn of(message: &ToHost) -> Self {
+        match message {
+            ToHost::Hello(hello) => {
                 let version = hello.software_version.map(|part| part.to_string());
-                vec![
-                    number("protocol_version", hello.protocol_version.into()),
-                    text("software_version", version.join(".")),
-                    number("nonce", hello.nonce),
-                ]
+                let fields = vec![
+                    ("protocol_version", number(hello.protocol_version)),
+                    ("software_version", text(version.join("."))),
+                    ("nonce", number(hello.nonce)),
+                ];
+                Self::new("hello", fields)
             }
-            Self::Message(ToHost::Telemetry(telemetry)) => {
-                of_entry(&Entry::Telemetry(TelemetryRecord {
-                    receive_time_ns: 0,
-                    board_time_host_ns: 0,
-                    imu_time_host_ns: None,
-                    telemetry: *telemetry,
-                }))
-            }
-            Self::Message(ToHost::Status(status)) => of_entry(&Entry::Status(StatusRecord {
+            ToHost::Telemetry(telemetry) => Self::of_entry(Entry::Telemetry(TelemetryRecord {
+                receive_time_ns: 0,
+                board_time_host_ns: 0,
+                imu_time_host_ns: None,
+                telemetry: *telemetry,
+            })),
+            ToHost::Status(status) => Self::of_entry(Entry::Status(StatusRecord {
                 receive_time_ns: 0,
                 status: *status,
             })),
-            Self::Message(ToHost::Acknowledgement(answer)) => vec![
-                word("request", answer.request.name()),
-                number("sequence", answer.sequence.0.into()),
-                number("configuration_hash", answer.configuration_hash),
-            ],
-            Self::Message(ToHost::Refusal(answer)) => vec![
-                word("request", answer.request.name()),
-                number("sequence", answer.sequence.0.into()),
-                word("reason", answer.reason.name()),
-            ],
-            Self::Message(ToHost::Identity(identity)) => {
-                vec![number("car_id", identity.car_id.into())]
+            ToHost::Acknowledgement(answer) => {
+                let fields = vec![
+                    ("request", text(answer.request.name())),
+                    ("sequence", number(answer.sequence.0)),
+                    ("configuration_hash", number(answer.configuration_hash)),
+                ];
+                Self::new("acknowledgement", fields)
             }
-            Self::Broken(broken) => {
-                let bytes = broken.bytes.iter().map(|byte| format!("{byte:02x}"));
-                let mut bytes: Vec<_> = bytes.collect();
-                if bytes.len() == SHOWN_BYTES {
-                    bytes.push("...".to_owned());
-                }
-                vec![
-                    word("reason", broken.reason),
-                    text("detail", broken.detail.clone()),
-                    text("bytes", bytes.join(" ")),
-                ]
+            ToHost::Refusal(answer) => {
+                let fields = vec![
+                    ("request", text(answer.request.name())),
+                    ("sequence", number(answer.sequence.0)),
+                    ("reason", text(answer.reason.name())),
+                ];
+                Self::new("refusal", fields)
             }
+            ToHost::Identity(identity) => {
+                Self::new("identity", vec![("car_id", number(identity.car_id))])
+            }
+        }
+    }
+
+    /// With the fields that come over the line: all from the board's clock on. The host adds those
+    /// before.
+    fn of_entry(entry: Entry) -> Self {
+        let name = entry.topic().name();
+        let fields = entry.topic().fields().into_iter().zip(entry.values());
+        let fields = fields.skip_while(|(name, _)| name != "board_time_us");
+        Self {
+            fields: fields.collect(),
+            entry: Some(entry),
+            ..Self::new(name, Vec::new())
+        }
+    }
+
+    /// Bytes that are no frame: why, in a word and in a sentence, and the first of them.
+    fn broken(reason: &'static str, detail: &impl ToString, bytes: &[u8]) -> Self {
+        let mut shown: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        if shown.len() == SHOWN_BYTES {
+            shown.push("...".to_owned());
+        }
+        let fields = vec![
+            ("reason", text(reason)),
+            ("detail", text(detail.to_string())),
+            ("bytes", text(shown.join(" "))),
+        ];
+        Self {
+            broken: Some(reason),
+            ..Self::new("broken", fields)
         }
     }
 
     /// The board's clock when it was made, if the message holds it: in µs, wrapping.
     const fn board_time_us(&self) -> Option<u32> {
-        match self {
-            Self::Message(ToHost::Telemetry(telemetry)) => Some(telemetry.board_time_us),
-            Self::Message(ToHost::Status(status)) => Some(status.board_time_us),
+        match &self.entry {
+            Some(Entry::Telemetry(record)) => Some(record.telemetry.board_time_us),
+            Some(Entry::Status(record)) => Some(record.status.board_time_us),
             _ => None,
         }
     }
 }
 
-/// The fields that come over the line: all from the board's clock on. The host adds those before.
-fn of_entry(entry: &Entry) -> Vec<(String, Value)> {
-    let fields = entry.topic().fields().into_iter().zip(entry.values());
-    fields
-        .skip_while(|(name, _)| name != "board_time_us")
-        .collect()
+fn number(number: impl Into<u64>) -> Value {
+    Value::Unsigned(number.into())
+}
+
+fn text(text: impl Into<Cow<'static, str>>) -> Value {
+    Value::Text(text.into())
 }
 
 /// The kinds of frames, by their type bytes, then what is broken. Every one has an offset and a
@@ -129,40 +164,21 @@ pub(super) fn kinds() -> Vec<Kind> {
         }
         other => other.ok(),
     };
-    let messages = (0..=u8::MAX).filter_map(example).map(Content::Message);
-    let kind = |content: Content| {
-        let own = content.fields().into_iter().map(|(name, _)| name);
-        let fields = ["offset", "length"]
-            .map(str::to_owned)
-            .into_iter()
-            .chain(own);
-        let brief = match content {
-            Content::Message(ToHost::Telemetry(_)) => {
-                &format!("offset length board_time_us {TELEMETRY}")
-            }
+    let messages = (0..=u8::MAX).filter_map(example);
+    let frames = messages.map(|message| Frame::of(&message));
+    let kind = |frame: Frame| {
+        let own = frame.fields.into_iter().map(|(name, _)| name);
+        let place = ["offset", "length"].map(str::to_owned);
+        let brief = match &frame.entry {
+            Some(Entry::Telemetry(_)) => &format!("offset length board_time_us {TELEMETRY}"),
             _ => "",
         };
-        Kind::new(content.name(), fields.collect(), brief)
+        Kind::new(frame.name, place.into_iter().chain(own).collect(), brief)
     };
-    let broken = broken("", String::new(), &[]);
-    messages.chain([broken]).map(kind).collect()
-}
-
-fn broken(reason: &'static str, detail: String, bytes: &[u8]) -> Content {
-    Content::Broken(Broken {
-        reason,
-        detail,
-        bytes: bytes.to_owned(),
-    })
-}
-
-/// A stretch of bytes up to a zero.
-struct Found {
-    /// Where it begins, in bytes from the start.
-    offset: u64,
-    /// How many bytes it has, with the zero that ends it.
-    length: u64,
-    content: Content,
+    frames
+        .chain([Frame::broken("", &"", &[])])
+        .map(kind)
+        .collect()
 }
 
 /// The frames of a line.
@@ -188,7 +204,7 @@ pub(super) struct Line<'a> {
     other_version: Option<u16>,
     /// How many frames were whole.
     whole: u64,
-    found: Option<Found>,
+    found: Option<Frame>,
 }
 
 /// Where the bytes come from.
@@ -210,11 +226,11 @@ enum Clock {
 
 impl Clock {
     /// When a frame came, in ns since the start.
-    fn date(&mut self, content: &Content) -> Option<i64> {
+    fn date(&mut self, frame: &Frame) -> Option<i64> {
         match self {
             Self::Arrival { start, .. } => i64::try_from(start.elapsed().as_nanos()).ok(),
             Self::Board { last_us, since_us } => {
-                if let Some(board_us) = content.board_time_us() {
+                if let Some(board_us) = frame.board_time_us() {
                     let before_us = last_us.replace(board_us).unwrap_or(board_us);
                     let passed = board_us.wrapping_sub(before_us).cast_signed();
                     // A restarted clock goes on from where the last one stopped.
@@ -276,13 +292,13 @@ impl<'a> Line<'a> {
     }
 
     /// The next stretch in what has been received.
-    fn search(&mut self) -> Option<Found> {
+    fn search(&mut self) -> Option<Frame> {
         while let Some(byte) = self.received.get(self.at).copied() {
             self.at += 1;
             self.taken += 1;
             if byte == 0 {
-                let content = self.content();
-                if let Some(found) = self.end_stretch(content) {
+                let frame = self.frame();
+                if let Some(found) = self.end_stretch(frame) {
                     return Some(found);
                 }
             } else {
@@ -293,15 +309,15 @@ impl<'a> Line<'a> {
             }
         }
         let unfinished = self.ended && self.taken > self.begin;
-        let content = unfinished.then(|| {
-            let detail = "the bytes end in the middle of a frame".to_owned();
-            broken("unfinished", detail, &self.bytes)
+        let frame = unfinished.then(|| {
+            let detail = "the bytes end in the middle of a frame";
+            Frame::broken("unfinished", &detail, &self.bytes)
         });
-        self.ended.then(|| self.end_stretch(content))?
+        self.ended.then(|| self.end_stretch(frame))?
     }
 
-    /// The content of the stretch that a zero ends; none if it is empty.
-    fn content(&mut self) -> Option<Content> {
+    /// What the stretch holds that a zero ends; none if it is empty.
+    fn frame(&mut self) -> Option<Frame> {
         let packet = match self.decoder.push(0)? {
             Ok(packet) => packet,
             Err(error) => {
@@ -311,21 +327,11 @@ impl<'a> Line<'a> {
                     FrameError::TooShort(_) => "too-short",
                     FrameError::CheckSum => "check-sum",
                 };
-                return Some(broken(reason, error.to_string(), &self.bytes));
+                return Some(Frame::broken(reason, &error, &self.bytes));
             }
         };
-        let content = match ToHost::decode(packet) {
-            Ok(message) => Content::Message(message),
-            Err(error) => {
-                let reason = match error {
-                    DecodeError::UnknownType(_) => "unknown-type",
-                    DecodeError::Length { .. } => "payload-length",
-                    DecodeError::Value { .. } => "payload-value",
-                };
-                broken(reason, error.to_string(), &self.bytes)
-            }
-        };
-        if let Content::Message(ToHost::Hello(hello)) = &content {
+        let message = ToHost::decode(packet);
+        if let Ok(ToHost::Hello(hello)) = &message {
             let version = hello.protocol_version;
             self.other_version = (version != VERSION).then_some(version);
         } else if let Some(version) = self.other_version {
@@ -333,21 +339,31 @@ impl<'a> Line<'a> {
             let detail = format!(
                 "the sender speaks version {version} of the protocol, this program version {VERSION}: use the singletrack of its release"
             );
-            return Some(broken("version", detail, &self.bytes));
+            return Some(Frame::broken("version", &detail, &self.bytes));
         }
-        Some(content)
+        Some(match message {
+            Ok(message) => Frame::of(&message),
+            Err(error) => {
+                let reason = match error {
+                    DecodeError::UnknownType(_) => "unknown-type",
+                    DecodeError::Length { .. } => "payload-length",
+                    DecodeError::Value { .. } => "payload-value",
+                };
+                Frame::broken(reason, &error, &self.bytes)
+            }
+        })
     }
 
-    fn end_stretch(&mut self, content: Option<Content>) -> Option<Found> {
+    fn end_stretch(&mut self, frame: Option<Frame>) -> Option<Frame> {
         let offset = self.begin;
         self.begin = self.taken;
         self.bytes.clear();
-        let content = content?;
-        self.whole += u64::from(!matches!(content, Content::Broken(_)));
-        Some(Found {
+        let frame = frame?;
+        self.whole += u64::from(frame.broken.is_none());
+        Some(Frame {
             offset,
             length: self.taken - offset,
-            content,
+            ..frame
         })
     }
 }
@@ -358,10 +374,13 @@ fn unreadable(name: &str, error: &io::Error) -> String {
 }
 
 impl Source for Line<'_> {
-    fn start_wall_ns(&self) -> Option<u64> {
-        match self.clock {
-            Clock::Arrival { start_wall_ns, .. } => start_wall_ns,
-            Clock::Board { .. } => None,
+    fn times(&self) -> Times {
+        Times {
+            start_wall_ns: match self.clock {
+                Clock::Arrival { start_wall_ns, .. } => start_wall_ns,
+                Clock::Board { .. } => None,
+            },
+            span_ns: None,
         }
     }
 
@@ -381,9 +400,8 @@ impl Source for Line<'_> {
             }
             return Ok(Next::End);
         };
-        let name = found.content.name();
-        let kind = self.kinds.iter().position(|kind| kind.name == name);
-        let time_ns = self.clock.date(&found.content);
+        let kind = self.kinds.iter().position(|kind| kind.name == found.name);
+        let time_ns = self.clock.date(&found);
         self.found = Some(found);
         Ok(Next::Row(Row {
             kind: kind.unwrap_or_default(),
@@ -431,7 +449,11 @@ impl Source for Line<'_> {
 
     fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError> {
         if let Some(found) = &self.found {
-            take(Message::Frame(&found.content));
+            take(match (&found.entry, found.broken) {
+                (Some(entry), _) => Message::Entry(entry),
+                (None, Some(reason)) => Message::Broken(reason),
+                (None, None) => Message::Other,
+            });
         }
         Ok(())
     }
@@ -440,7 +462,7 @@ impl Source for Line<'_> {
         values.clear();
         if let Some(found) = &self.found {
             values.extend([found.offset, found.length].map(Value::Unsigned));
-            values.extend(found.content.fields().into_iter().map(|(_, value)| value));
+            values.extend(found.fields.iter().map(|(_, value)| value.clone()));
         }
         Ok(())
     }

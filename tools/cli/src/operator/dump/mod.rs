@@ -3,8 +3,6 @@
 
 mod format;
 mod line;
-mod moment;
-mod page;
 mod select;
 mod source;
 mod stats;
@@ -21,8 +19,7 @@ use std::{
 use clap::Args;
 use format::Printer;
 use line::{Input, Line};
-use moment::Range;
-use select::Filter;
+use select::{Filter, Range};
 use singletrack_core::config::SerialSection;
 use singletrack_record::{Topic, Value};
 use source::{Close, Kind, Live, Next, Place, Record, Row, Source};
@@ -31,8 +28,7 @@ use stats::Stats;
 use crate::{arguments::parse_duration, interrupt::Interrupt, operator::control::ControlArgs};
 
 pub use format::Format;
-pub use moment::Moment;
-pub use select::Condition;
+pub use select::{Condition, Moment};
 
 /// Why a dump failed, in words for the user.
 pub type DumpError = Box<dyn Error>;
@@ -233,12 +229,12 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     };
     // A port may reset its board when it is opened. A record says which times it has.
     if !matches!(place, Place::Record(_)) {
-        range.check_order(None)?;
+        range.check_order()?;
     }
     let mut filter = Filter::new(kinds, &args.conditions)?;
     let mut source = open(args, &place, kinds)?;
     let source = source.as_mut();
-    filter.range = range.since(source, &place.to_string())?;
+    filter.range = range.since(&source.times(), &place.to_string())?;
     let end = args.duration.map(|duration| Instant::now() + duration);
     let interrupt = if args.stats {
         Interrupt::listen()?

@@ -12,7 +12,6 @@ use std::{
 };
 
 use singletrack_api::ClientError;
-use singletrack_protocol::ToHost;
 use singletrack_record::{Ending, Entry, Reader, Recorded, Topic, Value};
 use singletrackd::monotonic_ns;
 
@@ -136,17 +135,12 @@ impl Record {
 }
 
 impl Source for Record {
-    fn start_wall_ns(&self) -> Option<u64> {
-        Some(self.start_wall_ns)
-    }
-
-    fn span(&self) -> Option<Span> {
-        let [first_ns, last_ns] = self.reader.span_wall_ns()?.map(|ns| self.since_start(ns));
-        Some(Span {
-            first_ns,
-            last_ns,
-            start_wall_ns: self.start_wall_ns,
-        })
+    fn times(&self) -> Times {
+        let span = self.reader.span_wall_ns();
+        Times {
+            start_wall_ns: Some(self.start_wall_ns),
+            span_ns: span.map(|span| span.map(|ns| self.since_start(ns))),
+        }
     }
 
     fn next(&mut self) -> Result<Next, DumpError> {
@@ -213,8 +207,11 @@ impl Live {
 }
 
 impl Source for Live {
-    fn start_wall_ns(&self) -> Option<u64> {
-        self.start_wall_ns
+    fn times(&self) -> Times {
+        Times {
+            start_wall_ns: self.start_wall_ns,
+            span_ns: None,
+        }
     }
 
     fn next(&mut self) -> Result<Next, DumpError> {
@@ -356,8 +353,10 @@ pub(super) struct Row {
 pub(super) enum Message<'a> {
     /// An entry of a record or of the running daemon; a tick of a record is without its events.
     Entry(&'a Entry),
-    /// What a stretch of bytes on the line holds.
-    Frame(&'a Content),
+    /// Bytes on the line that are no frame: why, in a word.
+    Broken(&'static str),
+    /// A frame that no record has.
+    Other,
 }
 
 /// The next step of a source.
@@ -386,13 +385,7 @@ pub(super) struct Close {
 
 /// Gives rows, one after another.
 pub(super) trait Source {
-    /// When it starts, in ns since 1970 on the wall, if that is known.
-    fn start_wall_ns(&self) -> Option<u64>;
-
-    /// The times of its first and its last row, if they are known before it is read.
-    fn span(&self) -> Option<Span> {
-        None
-    }
+    fn times(&self) -> Times;
 
     /// Goes to the next row, without waiting.
     fn next(&mut self) -> Result<Next, DumpError>;
@@ -419,31 +412,11 @@ pub(super) trait Source {
     fn close(&self) -> Close;
 }
 
-/// What a stretch of bytes up to a zero holds.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Content {
-    /// A message of the board.
-    Message(ToHost),
-    /// No frame.
-    Broken(Broken),
-}
-
-/// Bytes that are not a frame.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Broken {
-    /// Why, in a word.
-    pub(super) reason: &'static str,
-    /// Why, in a sentence.
-    pub(super) detail: String,
-    /// Its first bytes.
-    pub(super) bytes: Vec<u8>,
-}
-
-/// The times of the entries of a record, in ns since its start.
+/// What is known of the times of a source before it is read.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Span {
-    pub(super) first_ns: i64,
-    pub(super) last_ns: i64,
-    /// When the record starts, in ns since 1970.
-    pub(super) start_wall_ns: u64,
+pub(super) struct Times {
+    /// When it starts, in ns since 1970 on the wall.
+    pub(super) start_wall_ns: Option<u64>,
+    /// The times of its first and its last row, in ns since its start.
+    pub(super) span_ns: Option<[i64; 2]>,
 }

@@ -21,13 +21,6 @@ const CSV: &str = "the first line names the columns t_s,x_m,y_m (and vx_m_s,vy_m
 const JSON: &str = "write a list of {\"t_s\":0.0,\"position_m\":[0.0,0.0]}, with \"velocity_m_s\" or \
                     without";
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Point {
-    time: f64,
-    position: [f64; 2],
-    velocity: [f64; 2],
-}
-
 /// A line of a CSV file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -39,10 +32,10 @@ struct Row {
     vy_m_s: Option<f64>,
 }
 
-/// A point of a JSON file, and of either before its velocity is known.
-#[derive(Clone, Copy, Debug, Deserialize)]
+/// A point, as a JSON file has it.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Written {
+struct Point {
     t_s: f64,
     position_m: [f64; 2],
     velocity_m_s: Option<[f64; 2]>,
@@ -57,7 +50,7 @@ impl TrajectoryFile {
     }
 
     fn parse(text: &str) -> Result<Self, String> {
-        let written: Vec<Written> = if text.trim_start().starts_with(['[', '{']) {
+        let written: Vec<Point> = if text.trim_start().starts_with(['[', '{']) {
             serde_json::from_str(text).map_err(|error| format!("{error}; {JSON}"))?
         } else {
             let mut reader = csv::ReaderBuilder::new()
@@ -67,7 +60,7 @@ impl TrajectoryFile {
             let rows = reader.deserialize().collect::<Result<Vec<Row>, _>>();
             let rows = rows.map_err(|error| format!("{error}; {CSV}"))?;
             let rows = (1_usize..).zip(rows).map(|(number, row)| {
-                Ok(Written {
+                Ok(Point {
                     t_s: row.t_s,
                     position_m: [row.x_m, row.y_m],
                     velocity_m_s: match (row.vx_m_s, row.vy_m_s) {
@@ -115,14 +108,14 @@ impl TrajectoryFile {
                 ));
             }
         }
-        let points = written.iter().enumerate().map(|(index, point)| Point {
-            time: point.t_s,
-            position: point.position_m,
-            velocity: point.velocity_m_s.unwrap_or_else(|| {
-                let before = index.checked_sub(1).and_then(|before| written.get(before));
-                let after = written.get(index + 1);
-                slope(before.unwrap_or(point), after.unwrap_or(point))
-            }),
+        let points = written.iter().enumerate().map(|(index, point)| {
+            let before = index.checked_sub(1).and_then(|before| written.get(before));
+            let after = written.get(index + 1);
+            let between = || slope(before.unwrap_or(point), after.unwrap_or(point));
+            Point {
+                velocity_m_s: point.velocity_m_s.or_else(|| Some(between())),
+                ..*point
+            }
         });
         Ok(Self(points.collect()))
     }
@@ -132,7 +125,7 @@ impl TrajectoryFile {
     pub(super) fn window(&self, begin_ns: u64, now_ns: u64) -> Option<Setpoint> {
         let Self(points) = self;
         let first = points.first()?;
-        let time_ns = |point: &Point| begin_ns + ((point.time - first.time) * 1e9) as u64;
+        let time_ns = |point: &Point| begin_ns + ((point.t_s - first.t_s) * 1e9) as u64;
         if time_ns(points.last()?) < now_ns {
             return None;
         }
@@ -142,8 +135,8 @@ impl TrajectoryFile {
         let window = points.iter().skip(from).take(WINDOW);
         let window = window.map(|point| TrajectoryPoint {
             time_ns: time_ns(point),
-            position_m: point.position,
-            velocity_m_s: point.velocity,
+            position_m: point.position_m,
+            velocity_m_s: point.velocity_m_s.unwrap_or_default(),
         });
         Some(Setpoint {
             trajectory: Some(window.collect()),
@@ -153,7 +146,7 @@ impl TrajectoryFile {
 }
 
 /// The velocity from one point to another.
-fn slope(from: &Written, to: &Written) -> [f64; 2] {
+fn slope(from: &Point, to: &Point) -> [f64; 2] {
     let ([x, y], [to_x, to_y]) = (from.position_m, to.position_m);
     let time = to.t_s - from.t_s;
     [(to_x - x) / time, (to_y - y) / time]
@@ -174,11 +167,11 @@ mod tests {
         let json = r#"[{"t_s":2,"position_m":[0,0],"velocity_m_s":[1,0]},
             {"t_s":3,"position_m":[1,0]},{"t_s":5,"position_m":[1,2]}]"#;
         assert_eq!(csv, TrajectoryFile::parse(json).unwrap());
-        let velocities: Vec<_> = csv.0.iter().map(|point| point.velocity).collect();
+        let velocities: Vec<_> = csv.0.iter().flat_map(|point| point.velocity_m_s).collect();
         assert_eq!(velocities, [[1.0, 0.0], [1.0 / 3.0, 2.0 / 3.0], [0.0, 1.0]]);
         let given = "t_s,vx_m_s,vy_m_s,x_m,y_m\n0,5,6,0,0\n1,7,8,1,1\n";
         let given = TrajectoryFile::parse(given).unwrap();
-        assert_eq!(given.0.first().unwrap().velocity, [5.0, 6.0]);
+        assert_eq!(given.0.first().unwrap().velocity_m_s, Some([5.0, 6.0]));
     }
 
     #[test]

@@ -84,16 +84,11 @@ struct Feed {
 
 impl Feed {
     fn open(socket: &Path) -> Result<Self, Box<dyn Error>> {
-        let mut questions = Connection::open(socket, PATIENCE)?;
-        questions.send(&Request::Status {})?;
-        let answer: Answer = questions
-            .receive_within(PATIENCE)?
-            .ok_or_else(|| ClientError::silent(socket, PATIENCE))?;
-        let status = answer.agreed()?.status;
+        let status = ask(&Request::Status {}, socket)?.status;
         let missing = || ClientError::NoAnswer("an answer without a status".to_owned());
         Ok(Self {
             states: Connection::watch_states(socket, PATIENCE)?,
-            questions,
+            questions: Connection::open(socket, PATIENCE)?,
             summary: status.map(Summary::of).ok_or_else(missing)?,
             asked: Instant::now(),
             is_answered: true,
@@ -126,77 +121,63 @@ impl Feed {
         Ok(())
     }
 
-    /// How long no tick has come, if that is long.
-    fn silence_s(&self) -> Option<f64> {
+    fn line(&self) -> String {
+        let silence = self.silence();
+        let silence = silence.map(|silence| format!(" ({silence})"));
+        self.summary.line() + &silence.unwrap_or_default()
+    }
+
+    fn picture(&self, socket: &Path) -> Vec<String> {
+        let (columns, _) = Screen::size();
+        let title = format!("singletrackd at {}  (q ends)", socket.display());
+        let mut lines = vec![title, String::new()];
+        lines.extend(self.summary.lines(columns));
+        if let Some(silence) = self.silence() {
+            lines.extend([String::new(), silence]);
+        }
+        lines
+    }
+
+    /// How long the daemon has been silent, if it is.
+    fn silence(&self) -> Option<String> {
         let silence = self.heard.elapsed();
-        (silence >= SILENCE).then_some(silence.as_secs_f64())
+        let seconds = silence.as_secs_f64();
+        (silence >= SILENCE).then(|| format!("no tick of the daemon for {seconds:.1} s"))
     }
 }
 
-/// Shows the status until q or Ctrl-C is pressed.
-///
-/// # Errors
-///
-/// When the daemon can't be reached, or ends.
+/// Shows the status until Ctrl-C: as a picture on a terminal, which `q` ends as well, and in lines
+/// elsewhere.
 fn watch(socket: &Path) -> Result<(), Box<dyn Error>> {
     let interrupt = Interrupt::listen()?;
     let mut feed = Feed::open(socket)?;
-    match Screen::open()? {
+    let mut screen = Screen::open()?;
+    let interval = if screen.is_some() { PICTURE } else { LINE };
+    let mut shown: Option<Instant> = None;
+    while !interrupt.is_raised() {
+        if let Some(screen) = &mut screen
+            && screen.has_key(b'q')?
+        {
+            break;
+        }
+        feed.renew()?;
+        if shown.is_some_and(|shown| shown.elapsed() < interval) {
+            continue;
+        }
+        shown = Some(Instant::now());
+        match &screen {
+            Some(screen) => screen.draw(&feed.picture(socket))?,
+            None => match writeln!(io::stdout(), "{}", feed.line()) {
+                Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),
+                written => written?,
+            },
+        }
+    }
+    match screen {
         Some(screen) => {
-            draw(&interrupt, &mut feed, screen, socket)?;
-            // The picture is gone with its screen.
+            drop(screen);
             print(&feed.summary.line())
         }
-        None => print_lines(&interrupt, &mut feed),
+        None => Ok(()),
     }
-}
-
-fn draw(
-    interrupt: &Interrupt,
-    feed: &mut Feed,
-    mut screen: Screen,
-    socket: &Path,
-) -> Result<(), Box<dyn Error>> {
-    let mut drawn: Option<Instant> = None;
-    while !interrupt.is_raised() && !screen.has_key(b'q')? {
-        feed.renew()?;
-        if drawn.is_some_and(|drawn| drawn.elapsed() < PICTURE) {
-            continue;
-        }
-        drawn = Some(Instant::now());
-        let (columns, _) = Screen::size();
-        let mut lines = vec![
-            format!("singletrackd at {}  (q ends)", socket.display()),
-            String::new(),
-        ];
-        lines.extend(feed.summary.lines(columns));
-        if let Some(silence_s) = feed.silence_s() {
-            lines.push(String::new());
-            lines.push(format!("no tick of the daemon for {silence_s:.1} s"));
-        }
-        screen.draw(&lines)?;
-    }
-    Ok(())
-}
-
-fn print_lines(interrupt: &Interrupt, feed: &mut Feed) -> Result<(), Box<dyn Error>> {
-    let mut printed: Option<Instant> = None;
-    while !interrupt.is_raised() {
-        feed.renew()?;
-        if printed.is_some_and(|printed| printed.elapsed() < LINE) {
-            continue;
-        }
-        printed = Some(Instant::now());
-        let mut line = feed.summary.line();
-        if let Some(silence_s) = feed.silence_s() {
-            line += &format!(" (no tick of the daemon for {silence_s:.1} s)");
-        }
-        let mut output = io::stdout().lock();
-        match writeln!(output, "{line}").and_then(|()| output.flush()) {
-            Ok(()) => {}
-            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),
-            Err(error) => return Err(error.into()),
-        }
-    }
-    Ok(())
 }

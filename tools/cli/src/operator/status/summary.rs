@@ -3,8 +3,7 @@
 use singletrack_api::{State, Status};
 use singletrack_core::reasons::Why;
 
-use crate::help::wrap;
-use crate::operator::tune;
+use crate::{help::wrap, operator::control};
 
 /// Columns of the names in the view.
 const NAMES: usize = 10;
@@ -117,7 +116,7 @@ impl Summary {
     fn tuned(&self) -> Option<String> {
         let tunable = self.status.tuning.as_ref().filter(|it| it.differs)?;
         let tuning = self.status.state.as_ref()?.tuning()?;
-        let [tuned, was] = [&tuning, &tunable.configured].map(tune::in_words);
+        let [tuned, was] = [&tuning, &tunable.configured].map(control::in_words);
         Some(format!("{tuned} (configured: {was})"))
     }
 

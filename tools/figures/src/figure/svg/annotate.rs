@@ -1,11 +1,9 @@
 //! What is written beside lines and points, where there is room.
 
-use std::fmt::{self, Write as _};
-
 use super::{
     area::Area,
     map::draw_dotted,
-    write::{label, line, mark, number, pen, through, title},
+    write::{END, label, line, mark, number, pen, through, title},
 };
 use crate::figure::{
     Estimate, Level, Panel,
@@ -134,59 +132,52 @@ fn led(
     best.map(|(_, slot, leader, direction)| (slot, leader, direction))
 }
 
-/// The leaders, their points and all the texts.
-pub(super) fn draw_labels(svg: &mut String, placed: &[Placed]) -> fmt::Result {
-    placed.iter().try_for_each(|Placed { slot, text, leader }| {
-        if let Some(leader) = leader {
-            draw_leader(svg, leader)?;
-        }
-        label(svg, slot, text)
-    })
+/// Labels over all that is drawn, with their leaders.
+pub(super) fn draw_labels(placed: &[Placed]) -> String {
+    let labels = placed.iter().map(|Placed { slot, text, leader }| {
+        let leader = leader.as_ref().map(draw_leader);
+        leader.unwrap_or_default() + &label(slot, text)
+    });
+    labels.collect()
 }
 
-/// A dotted line from a point.
-pub(super) fn draw_leader(svg: &mut String, leader: &Segment) -> fmt::Result {
-    draw_dotted(svg, "leader", leader)?;
+/// A dotted line that begins with a dot.
+pub(super) fn draw_leader(leader: &Segment) -> String {
     let [x, y] = leader[0].map(number);
-    writeln!(
-        svg,
-        r#"<circle class="point" cx="{x}" cy="{y}" r="0.62" fill="{INK}"/>"#
-    )
+    draw_dotted("leader", leader)
+        + &format!(r#"<circle class="point" cx="{x}" cy="{y}" r="0.62" fill="{INK}"/>{END}"#)
 }
 
-/// The line of a level, without its label.
-pub(super) fn draw_level(svg: &mut String, level: &Level, area: &Area) -> fmt::Result {
+pub(super) fn draw_level(level: &Level, area: &Area) -> String {
     if !area.y.holds(level.value) {
-        return Ok(());
+        return String::new();
     }
     let y = area.y.at(level.value);
     let (pen, data) = (pen(level.look), through(&[[area.left, y], [area.right, y]]));
     let title = title(&level.name, &format!(": {}", level.value));
-    writeln!(svg, r#"<path {pen} d="{data}">{title}</path>"#)
+    format!(r#"<path {pen} d="{data}">{title}</path>{END}"#)
 }
 
-/// A point with its interval.
-pub(super) fn draw_estimate(svg: &mut String, estimate: &Estimate, area: &Area) -> fmt::Result {
+pub(super) fn draw_estimate(estimate: &Estimate, area: &Area) -> String {
     let x = area.x.at(estimate.x);
     let value = area.y.at(estimate.value);
     if !(x.is_finite() && value.is_finite()) {
-        return Ok(());
+        return String::new();
     }
-    let [low, high] = estimate.interval.map(|end| area.y.at(end));
-    if low.is_finite() && high.is_finite() {
-        draw_interval(svg, x, [low, high])?;
-    }
+    let ends = estimate.interval.map(|end| area.y.at(end));
+    let interval = match ends.iter().all(|end| end.is_finite()) {
+        true => draw_interval(x, ends),
+        false => String::new(),
+    };
     let [low, high] = estimate.interval;
     let values = format!(": {} ({low} to {high})", estimate.value);
     let title = title(&estimate.name, &values);
-    mark(svg, estimate.kind, [x, value], &title)
+    interval + &mark(estimate.kind, [x, value], &title)
 }
 
-/// A vertical interval with its ends.
-pub(super) fn draw_interval(svg: &mut String, x: f64, [low, high]: [f64; 2]) -> fmt::Result {
-    line(svg, "interval", INK, 0.25, [x, low, x, high])?;
-    for end in [low, high] {
-        line(svg, "interval", INK, 0.25, [x - CAP, end, x + CAP, end])?;
-    }
-    Ok(())
+/// The bar of an interval, with a cap at each end.
+pub(super) fn draw_interval(x: f64, [low, high]: [f64; 2]) -> String {
+    let line = |ends| line("interval", INK, 0.25, ends);
+    let caps = [low, high].map(|end| line([x - CAP, end, x + CAP, end]));
+    line([x, low, x, high]) + &caps.concat()
 }

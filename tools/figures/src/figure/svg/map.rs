@@ -1,10 +1,8 @@
 //! A map: shades, and lines of equal value with their labels.
 
-use std::fmt::{self, Write as _};
-
 use super::{
     area::Area,
-    write::{label, number, through, title},
+    write::{END, label, number, through, title},
 };
 use crate::figure::{
     Isoline, Map, Shade,
@@ -30,27 +28,18 @@ const WORST: f64 = 3.5;
 const STEP: f64 = 0.7;
 
 /// The shades, in their order. Hatching leaves the labels free.
-pub(super) fn draw_bands(svg: &mut String, map: &Map, area: &Area, taken: &[Slot]) -> fmt::Result {
+pub(super) fn draw_bands(map: &Map, area: &Area, taken: &[Slot]) -> String {
     let sheet = Sheet::new(&map.grid, &area.x, &area.y);
-    for band in &map.bands {
-        let rings: Vec<Piece> = sheet
-            .area(band.from, band.to)
-            .iter()
-            .map(|ring| thin(ring, TOLERANCE))
-            .collect();
-        draw_shade(svg, band.shade, &rings, taken, &title(&band.name, ""))?;
-    }
-    Ok(())
+    let bands = map.bands.iter().map(|band| {
+        let rings = sheet.area(band.from, band.to);
+        let rings: Vec<Piece> = rings.iter().map(|ring| thin(ring, TOLERANCE)).collect();
+        draw_shade(band.shade, &rings, taken, &title(&band.name, ""))
+    });
+    bands.collect()
 }
 
 /// What is in an odd number of the rings; `title` is its element, or empty.
-fn draw_shade(
-    svg: &mut String,
-    shade: Shade,
-    rings: &[Piece],
-    taken: &[Slot],
-    title: &str,
-) -> fmt::Result {
+fn draw_shade(shade: Shade, rings: &[Piece], taken: &[Slot], title: &str) -> String {
     let data: String = if shade == Shade::Hatched {
         let lines = hatch(rings).into_iter();
         let pieces = lines.flat_map(|line| interrupted(&line, taken));
@@ -59,14 +48,11 @@ fn draw_shade(
         rings.iter().map(|ring| through(ring) + "z").collect()
     };
     let paint = paint(shade);
-    writeln!(
-        svg,
-        r#"<path class="shade {shade}" {paint} d="{data}">{title}</path>"#
-    )
+    format!(r#"<path class="shade {shade}" {paint} d="{data}">{title}</path>{END}"#)
 }
 
 /// A shade's sample in a legend.
-pub(super) fn draw_key(svg: &mut String, shade: Shade, left: f64, middle: f64) -> fmt::Result {
+pub(super) fn draw_key(shade: Shade, left: f64, middle: f64) -> String {
     let (right, [top, bottom]) = (left + page::KEY_WIDTH, [middle - 1.2, middle + 1.2]);
     let ring = vec![
         [left, top],
@@ -75,13 +61,13 @@ pub(super) fn draw_key(svg: &mut String, shade: Shade, left: f64, middle: f64) -
         [left, bottom],
         [left, top],
     ];
-    draw_shade(svg, shade, &[ring], &[], "")
+    draw_shade(shade, &[ring], &[], "")
 }
 
 /// A dotted line.
-pub(super) fn draw_dotted(svg: &mut String, class: &str, points: &[[f64; 2]]) -> fmt::Result {
+pub(super) fn draw_dotted(class: &str, points: &[[f64; 2]]) -> String {
     let data = through(points);
-    writeln!(svg, r#"<path class="{class}" {DOTTED} d="{data}"/>"#)
+    format!(r#"<path class="{class}" {DOTTED} d="{data}"/>{END}"#)
 }
 
 /// How a dotted path is painted: in print as on a screen.
@@ -98,42 +84,31 @@ const fn paint(shade: Shade) -> &'static str {
     }
 }
 
-/// A line of equal value on the page.
-pub(super) struct Drawn<'a> {
-    isoline: &'a Isoline,
-    pieces: Vec<Piece>,
-}
-
-/// The lines of equal value, where they reach.
-pub(super) fn isolines<'a>(map: &'a Map, area: &Area) -> Vec<Drawn<'a>> {
-    let sheet = Sheet::new(&map.grid, &area.x, &area.y);
-    let drawn = map.isolines.iter().map(|isoline| Drawn {
-        isoline,
-        pieces: sheet.lines(isoline.value),
-    });
-    drawn.filter(|drawn| !drawn.pieces.is_empty()).collect()
-}
-
-/// Draws them with their labels, which keep clear of the obstacles and of each other.
+/// Draws the lines of equal value with their labels, which keep clear of the obstacles and of each
+/// other.
 pub(super) fn draw_isolines(
-    svg: &mut String,
-    lines: &[Drawn],
+    map: &Map,
     area: &Area,
     obstacles: &mut Obstacles,
     mut taken: Vec<Slot>,
-) -> fmt::Result {
-    for piece in lines.iter().flat_map(|line| &line.pieces) {
+) -> String {
+    let sheet = Sheet::new(&map.grid, &area.x, &area.y);
+    let lines = map.isolines.iter();
+    let lines = lines.map(|isoline| (isoline, sheet.lines(isoline.value)));
+    // Those that are reached.
+    let lines: Vec<_> = lines.filter(|(_, pieces)| !pieces.is_empty()).collect();
+    for piece in lines.iter().flat_map(|(_, pieces)| pieces) {
         obstacles.faint_line(&thin(piece, TOLERANCE));
     }
     let mut labels = Vec::new();
-    for line in lines {
-        let width = typeset::width(&line.isoline.label);
+    for (Isoline { label, .. }, pieces) in &lines {
+        let width = typeset::width(label);
         if width == 0.0 {
             continue;
         }
         let extent = |piece: &Piece| segments(piece).map(length).sum::<f64>();
-        let longest = line.pieces.iter().map(extent).fold(0.0, f64::max);
-        for piece in &line.pieces {
+        let longest = pieces.iter().map(extent).fold(0.0, f64::max);
+        for piece in pieces {
             if extent(piece) < longest.min(LONG) {
                 continue;
             }
@@ -144,29 +119,23 @@ pub(super) fn draw_isolines(
                 if let Some(slot) = room(&walk, share, width, area, obstacles) {
                     obstacles.label(&slot);
                     taken.push(slot);
-                    labels.push((slot, &line.isoline.label));
+                    labels.push((slot, label));
                 }
             }
         }
     }
-    for line in lines {
-        let pieces = line.pieces.iter();
-        let pieces = pieces.flat_map(|piece| interrupted(piece, &taken));
-        let data: String = pieces
-            .map(|piece| through(&thin(&piece, TOLERANCE)))
-            .collect();
-        let title = match line.isoline.label.as_str() {
-            "" => title(&number(line.isoline.value), ""),
+    let lines = lines.iter().map(|(isoline, pieces)| {
+        let pieces = pieces.iter().flat_map(|piece| interrupted(piece, &taken));
+        let pieces = pieces.map(|piece| through(&thin(&piece, TOLERANCE)));
+        let data: String = pieces.collect();
+        let title = match isoline.label.as_str() {
+            "" => title(&number(isoline.value), ""),
             label => title(label, ""),
         };
-        writeln!(
-            svg,
-            r#"<path class="isoline" {DOTTED} d="{data}">{title}</path>"#
-        )?;
-    }
-    labels
-        .into_iter()
-        .try_for_each(|(slot, text)| label(svg, &slot, text))
+        format!(r#"<path class="isoline" {DOTTED} d="{data}">{title}</path>{END}"#)
+    });
+    let labels = labels.iter().map(|(slot, text)| label(slot, text));
+    lines.chain(labels).collect()
 }
 
 /// The best place for a label of that width in a line between two parts of its

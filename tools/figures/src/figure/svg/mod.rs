@@ -8,14 +8,12 @@ mod area;
 mod map;
 mod write;
 
-use std::fmt::{self, Write as _};
-
 use self::{
     area::{Area, areas, widest},
-    write::{line, number, pen, rectangle, text, through, title, turned},
+    write::{END, line, number, pen, rectangle, text, through, title, turned},
 };
 use super::{
-    Axis, Curve, Figure, Mark, Panel, Rule, Symbol,
+    Axis, Bar, Curve, Figure, Mark, Panel, Rule, Symbol,
     page::{self, Entry, INK, Key, LINE_HEIGHT, MARGIN, NAME_SIZE, TICK_GAP},
     place::{Obstacles, Slot},
     thin::{envelope, pieces, thin},
@@ -34,28 +32,29 @@ const FONT: &str = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-ser
 impl Figure {
     /// The figure as an SVG file, as large as it is to be printed.
     pub fn to_svg(&self) -> String {
-        let mut svg = String::new();
-        // Writing to a string does not fail.
-        let _ = self.draw(&mut svg);
-        svg
+        let size = |[width, height]: [f64; 2]| {
+            let [width, height] = [width, height].map(number);
+            format!(r#"width="{width}mm" height="{height}mm""#)
+        };
+        self.draw(size, "")
     }
 
     /// The same for the screen: twice as large, in the colours of the reports.
     pub fn to_screen_svg(&self) -> String {
-        let svg = self.to_svg();
-        let (head, rest) = svg.split_once('>').unwrap_or((&svg, ""));
-        // The height in mm goes: what is left is as high as the view box says.
-        let (start, _) = head.split_once(" width=").unwrap_or((head, ""));
-        let (_, end) = head.split_once("mm\" viewBox").unwrap_or(("", head));
-        let width = number(2.0 * 96.0 / 25.4 * self.width.mm());
-        format!(
-            "{start} class=\"static\" width=\"{width}\" viewBox{end}>\n<style>\n{}\
-             svg {{ background: var(--page); }}\n</style>{rest}",
+        // It is as high as the view box says.
+        let size = |[width, _]: [f64; 2]| {
+            let width = number(2.0 * 96.0 / 25.4 * width);
+            format!(r#"class="static" width="{width}""#)
+        };
+        let style = format!(
+            "\n<style>\n{}svg {{ background: var(--page); }}\n</style>",
             crate::plot::STYLE
-        )
+        );
+        self.draw(size, &style)
     }
 
-    fn draw(&self, svg: &mut String) -> fmt::Result {
+    /// The picture, with the attributes that `size` makes of its size in mm.
+    fn draw(&self, size: impl Fn([f64; 2]) -> String, style: &str) -> String {
         let entries = page::entries(self);
         let width = self.width.mm();
         let places = page::places(&entries, width - 2.0 * MARGIN);
@@ -66,29 +65,29 @@ impl Figure {
         let top = top + if mapped { 0.8 } else { 0.0 };
         let areas = areas(self, top);
         let bottom = areas.iter().map(Area::end).fold(top, f64::max);
+        let size = size([width, bottom + MARGIN]);
         let [width, height] = [width, bottom + MARGIN].map(number);
-        writeln!(
-            svg,
-            r#"<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{width}mm" height="{height}mm" viewBox="0 0 {width} {height}" font-family="{FONT}" font-size="{TEXT_SIZE}" fill="none" stroke-linejoin="round">"#,
-        )?;
         let caption = escaped(&typeset::plain(&self.caption));
-        writeln!(svg, "{}\n<desc>{caption}</desc>", title(&self.title, ""))?;
-        writeln!(
-            svg,
-            r##"<rect class="paper" width="100%" height="100%" fill="#ffffff"/>"##
-        )?;
-        for (entry, (left, row)) in entries.iter().zip(&places) {
+        let title = title(&self.title, "");
+        let entries = entries.iter().zip(&places).map(|(entry, (left, row))| {
             let middle = MARGIN + (*row as f64 + 0.5) * page::ROW_HEIGHT;
-            draw_entry(svg, entry, MARGIN + left, middle)?;
-        }
-        for (panel, area) in self.panels.iter().zip(&areas) {
-            draw_panel(svg, panel, area)?;
-        }
-        writeln!(svg, "</svg>")
+            draw_entry(entry, MARGIN + left, middle)
+        });
+        let panels = self.panels.iter().zip(&areas);
+        let panels = panels.map(|(panel, area)| draw_panel(panel, area));
+        let content: String = entries.chain(panels).collect();
+        format!(
+            r##"<svg xmlns="http://www.w3.org/2000/svg" role="img" {size} viewBox="0 0 {width} {height}" font-family="{FONT}" font-size="{TEXT_SIZE}" fill="none" stroke-linejoin="round">{style}
+{title}
+<desc>{caption}</desc>
+<rect class="paper" width="100%" height="100%" fill="#ffffff"/>
+{content}</svg>
+"##
+        )
     }
 }
 
-fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
+fn draw_panel(panel: &Panel, area: &Area) -> String {
     let Area {
         left,
         right,
@@ -96,89 +95,78 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
         bottom,
         ..
     } = *area;
-    svg.push_str("<g>\n");
+    let mut svg = String::from("<g>\n");
     if !panel.title.is_empty() {
         let middle = 0.5 * (left + right);
-        text(svg, [middle, top - 1.6], "middle", &panel.title)?;
+        svg += &text([middle, top - 1.6], "middle", &panel.title);
     }
     let mut obstacles = obstacles(panel, area);
     let labels = annotate::place(panel, area, &mut obstacles);
     let taken: Vec<Slot> = labels.iter().map(|label| label.slot).collect();
     if let Some(map) = &panel.map {
-        map::draw_bands(svg, map, area, &taken)?;
+        svg += &map::draw_bands(map, area, &taken);
     }
-    for span in &panel.spans {
-        draw_span(svg, panel.span_name, *span, area)?;
-    }
+    let spans = panel.spans.iter();
+    svg.extend(spans.map(|span| draw_span(panel.span_name, *span, area)));
     // On a map they would be taken for lines of equal value.
     if panel.map.is_none() {
-        draw_grid(svg, area)?;
+        svg += &draw_grid(area);
     }
-    for bar in &panel.bars {
-        let [from, to] = bar.span.map(|end| area.x.at(end));
-        let high = area.y.at(bar.height);
-        let bar = rectangle("bar", [from, high, to - from, bottom - high]);
-        writeln!(
-            svg,
-            r##"<rect {bar} fill="#7d7d7d" stroke="#ffffff" stroke-width="0.08"/>"##
-        )?;
-    }
+    svg.extend(panel.bars.iter().map(|bar| draw_bar(bar, area)));
     if let Some(map) = &panel.map {
-        let lines = map::isolines(map, area);
-        map::draw_isolines(svg, &lines, area, &mut obstacles, taken)?;
+        svg += &map::draw_isolines(map, area, &mut obstacles, taken);
     }
-    for level in &panel.levels {
-        annotate::draw_level(svg, level, area)?;
-    }
-    for curve in &panel.curves {
-        draw_curve(svg, curve, area, panel.equal)?;
-    }
+    let levels = panel.levels.iter();
+    svg.extend(levels.map(|level| annotate::draw_level(level, area)));
+    let curves = panel.curves.iter();
+    svg.extend(curves.map(|curve| draw_curve(curve, area, panel.equal)));
     let frame = rectangle("frame", [left, top, right - left, bottom - top]);
-    writeln!(svg, r#"<rect {frame} stroke="{INK}" stroke-width="0.2"/>"#)?;
-    for (index, rule) in panel.rules.iter().enumerate() {
-        draw_rule(svg, rule, index, area)?;
-    }
-    for estimate in &panel.estimates {
-        annotate::draw_estimate(svg, estimate, area)?;
-    }
-    for mark in &panel.marks {
-        draw_mark(svg, mark, area)?;
-    }
+    svg += &format!(r#"<rect {frame} stroke="{INK}" stroke-width="0.2"/>{END}"#);
+    let rules = panel.rules.iter().enumerate();
+    svg.extend(rules.map(|(index, rule)| draw_rule(rule, index, area)));
+    let estimates = panel.estimates.iter();
+    svg.extend(estimates.map(|estimate| annotate::draw_estimate(estimate, area)));
+    svg.extend(panel.marks.iter().map(|mark| draw_mark(mark, area)));
     for (value, label) in &area.x_ticks {
         let x = area.x.at(*value);
-        line(svg, "ink", INK, 0.2, [x, bottom, x, bottom - 0.9])?;
-        for (index, label) in label.iter().enumerate() {
-            let y = bottom + TICK_GAP + 2.0 + index as f64 * LINE_HEIGHT;
-            text(svg, [x, y], "middle", label)?;
-        }
+        svg += &line("ink", INK, 0.2, [x, bottom, x, bottom - 0.9]);
+        let y = |index: usize| bottom + TICK_GAP + 2.0 + index as f64 * LINE_HEIGHT;
+        let lines = label.iter().enumerate();
+        svg.extend(lines.map(|(index, line)| text([x, y(index)], "middle", line)));
     }
     for (value, label) in &area.y_ticks {
         let y = area.y.at(*value);
-        line(svg, "ink", INK, 0.2, [left, y, left + 0.9, y])?;
-        text(svg, [left - TICK_GAP, y + 0.85], "end", label)?;
+        svg += &line("ink", INK, 0.2, [left, y, left + 0.9, y]);
+        svg += &text([left - TICK_GAP, y + 0.85], "end", label);
     }
     if panel.names.is_empty() {
-        axis_name(svg, &panel.x, [0.5 * (left + right), bottom + 7.8], 0.0)?;
+        svg += &axis_name(&panel.x, [0.5 * (left + right), bottom + 7.8], 0.0);
     }
     let widest = widest(&area.y_ticks);
     let place = [left - TICK_GAP - widest - 1.4, 0.5 * (top + bottom)];
-    axis_name(svg, &panel.y, place, -90.0)?;
-    annotate::draw_labels(svg, &labels)?;
-    writeln!(svg, "</g>")
+    svg + &axis_name(&panel.y, place, -90.0) + &annotate::draw_labels(&labels) + "</g>\n"
 }
 
-fn draw_grid(svg: &mut String, area: &Area) -> fmt::Result {
+fn draw_bar(bar: &Bar, area: &Area) -> String {
+    let [from, to] = bar.span.map(|end| area.x.at(end));
+    let high = area.y.at(bar.height);
+    let bar = rectangle("bar", [from, high, to - from, area.bottom - high]);
+    format!(r##"<rect {bar} fill="#7d7d7d" stroke="#ffffff" stroke-width="0.08"/>{END}"##)
+}
+
+fn draw_grid(area: &Area) -> String {
     // What belongs to a name lies between two lines.
     let aside = if area.named { 0.5 } else { 0.0 };
-    for (value, _) in &area.x_ticks {
+    let line = |ends| line("grid", FAINT, 0.12, ends);
+    let along_x = area.x_ticks.iter().map(|(value, _)| {
         let x = area.x.at(*value + aside);
-        line(svg, "grid", FAINT, 0.12, [x, area.top, x, area.bottom])?;
-    }
-    for (value, _) in &area.y_ticks {
+        line([x, area.top, x, area.bottom])
+    });
+    let along_y = area.y_ticks.iter().map(|(value, _)| {
         let y = area.y.at(*value);
-        line(svg, "grid", FAINT, 0.12, [area.left, y, area.right, y])?;
-    }
-    Ok(())
+        line([area.left, y, area.right, y])
+    });
+    along_x.chain(along_y).collect()
 }
 
 /// What labels keep clear of. Only a panel with labels of its own needs them.
@@ -207,30 +195,29 @@ fn obstacles(panel: &Panel, area: &Area) -> Obstacles {
 }
 
 /// A shaded span, cut at the edges of the area.
-fn draw_span(svg: &mut String, name: &str, [from, to]: [f64; 2], area: &Area) -> fmt::Result {
+fn draw_span(name: &str, [from, to]: [f64; 2], area: &Area) -> String {
     let [low, high] = area.x.range;
     if to < low || from > high {
-        return Ok(());
+        return String::new();
     }
     let (left, right) = (area.x.at(from.max(low)), area.x.at(to.min(high)));
     // Even the shortest can be seen.
     let width = (right - left).max(0.15);
     let span = rectangle("span", [left, area.top, width, area.bottom - area.top]);
     let title = title(name, &format!(": {from:.3} to {to:.3}"));
-    writeln!(svg, r#"<rect {span} fill="{SHADE}">{title}</rect>"#)
+    format!(r#"<rect {span} fill="{SHADE}">{title}</rect>{END}"#)
 }
 
-fn draw_curve(svg: &mut String, curve: &Curve, area: &Area, equal: bool) -> fmt::Result {
+fn draw_curve(curve: &Curve, area: &Area, equal: bool) -> String {
     if curve.is_empty() {
-        return Ok(());
+        return String::new();
     }
     let place = |[x, y]: [f64; 2]| [area.x.at(x), area.y.at(y)];
     let mut data = String::new();
     for piece in pieces(curve.points().map(place)) {
-        let piece = if equal {
-            piece
-        } else {
-            envelope(&piece, COLUMN)
+        let piece = match equal {
+            true => piece,
+            false => envelope(&piece, COLUMN),
         };
         let piece = thin(&piece, TOLERANCE);
         data += &through(&piece);
@@ -240,12 +227,12 @@ fn draw_curve(svg: &mut String, curve: &Curve, area: &Area, equal: bool) -> fmt:
         }
     }
     let (pen, title) = (pen(curve.look), title(curve.name, ""));
-    writeln!(svg, r#"<path {pen} d="{data}">{title}</path>"#)
+    format!(r#"<path {pen} d="{data}">{title}</path>{END}"#)
 }
 
-fn draw_rule(svg: &mut String, rule: &Rule, index: usize, area: &Area) -> fmt::Result {
+fn draw_rule(rule: &Rule, index: usize, area: &Area) -> String {
     let x = area.x.at(rule.value);
-    line(svg, "rule", INK, 0.2, [x, area.top, x, area.bottom])?;
+    let line = line("rule", INK, 0.2, [x, area.top, x, area.bottom]);
     // One below the other, on the right if there is room.
     let y = area.top + 3.0 + 3.2 * index as f64;
     let room = area.right - x - typeset::width(&rule.name);
@@ -254,67 +241,54 @@ fn draw_rule(svg: &mut String, rule: &Rule, index: usize, area: &Area) -> fmt::R
     } else {
         (x + 0.8, "start")
     };
+    let name = text([x, y], anchor, &rule.name);
     // Over the bars it has a rim in the colour of the paper, beneath it in every renderer.
-    svg.push_str(r##"<g class="rim" stroke="#ffffff" stroke-width="0.8">"##);
-    text(svg, [x, y], anchor, &rule.name)?;
-    svg.push_str("</g>\n");
-    text(svg, [x, y], anchor, &rule.name)
+    let rim = r##"<g class="rim" stroke="#ffffff" stroke-width="0.8">"##;
+    format!("{line}{rim}{name}</g>\n{name}")
 }
 
-fn draw_mark(svg: &mut String, mark: &Mark, area: &Area) -> fmt::Result {
+fn draw_mark(mark: &Mark, area: &Area) -> String {
     let Mark { kind, point, name } = *mark;
-    let title = title(name, &format!(" ({:.3}, {:.3})", point[0], point[1]));
-    write::mark(
-        svg,
-        kind,
-        [area.x.at(point[0]), area.y.at(point[1])],
-        &title,
-    )
+    let [x, y] = point;
+    let title = title(name, &format!(" ({x:.3}, {y:.3})"));
+    write::mark(kind, [area.x.at(x), area.y.at(y)], &title)
 }
 
-fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::Result {
+fn draw_entry(entry: &Entry, left: f64, middle: f64) -> String {
     let right = left + entry.key.width();
     let centre = [0.5 * (left + right), middle];
-    match entry.key {
+    let key = match entry.key {
         Key::Line(look) => {
             let (pen, start) = (pen(look), through(&[[left, middle]]));
-            writeln!(svg, r#"<path {pen} d="{start}h{}"/>"#, page::KEY_WIDTH)?;
+            format!(r#"<path {pen} d="{start}h{}"/>{END}"#, page::KEY_WIDTH)
         }
-        Key::Mark(kind) => write::mark(svg, kind, centre, "")?,
+        Key::Mark(kind) => write::mark(kind, centre, ""),
         Key::Span => {
             let span = rectangle("span", [left, middle - 1.2, page::KEY_WIDTH, 2.4]);
-            writeln!(svg, r#"<rect {span} fill="{SHADE}"/>"#)?;
+            format!(r#"<rect {span} fill="{SHADE}"/>{END}"#)
         }
-        Key::Shade(shade) => map::draw_key(svg, shade, left, middle)?,
-        Key::Isoline => map::draw_dotted(svg, "isoline", &[[left, middle], [right, middle]])?,
-        Key::Leader => annotate::draw_leader(svg, &[[left + 0.8, middle], [right, middle]])?,
+        Key::Shade(shade) => map::draw_key(shade, left, middle),
+        Key::Isoline => map::draw_dotted("isoline", &[[left, middle], [right, middle]]),
+        Key::Leader => annotate::draw_leader(&[[left + 0.8, middle], [right, middle]]),
         Key::Estimate(kind) => {
-            annotate::draw_interval(svg, centre[0], [middle - 1.3, middle + 1.3])?;
-            write::mark(svg, kind, centre, "")?;
+            annotate::draw_interval(centre[0], [middle - 1.3, middle + 1.3])
+                + &write::mark(kind, centre, "")
         }
-    }
+    };
     let place = [left + entry.key.text_offset(), middle + 0.85];
-    text(svg, place, "start", &entry.name)
+    key + &text(place, "start", &entry.name)
 }
 
 /// Name, symbol and unit of an axis, around a place.
-fn axis_name(svg: &mut String, axis: &Axis, place: [f64; 2], degrees: f64) -> fmt::Result {
+fn axis_name(axis: &Axis, place: [f64; 2], degrees: f64) -> String {
     let symbol = axis.symbol.map(|Symbol { letter, below }| match below {
         "" => format!("${letter}$"),
         below => format!("${letter}_{below}$"),
     });
     let unit = (!axis.unit.is_empty()).then(|| format!("({})", axis.unit));
     let parts = [Some(axis.quantity.to_owned()), symbol, unit];
-    let parts: Vec<String> = parts
-        .into_iter()
-        .flatten()
-        .filter(|part| !part.is_empty())
-        .collect();
-    turned(
-        svg,
-        "ink",
-        (place, degrees),
-        0.0,
-        (&parts.join(" "), NAME_SIZE),
-    )
+    let parts = parts.into_iter().flatten();
+    let parts: Vec<String> = parts.filter(|part| !part.is_empty()).collect();
+    let text = parts.join(" ");
+    turned("ink", (place, degrees), 0.0, (&text, NAME_SIZE))
 }

@@ -1,7 +1,5 @@
 //! The smallest parts of a picture.
 
-use std::fmt::{self, Write as _};
-
 use crate::figure::{
     page::{INK, Look, MarkKind},
     place::Slot,
@@ -10,35 +8,35 @@ use crate::figure::{
 };
 
 const PAPER: &str = "#ffffff";
+/// Ends an element: each has a line.
+pub(super) const END: char = '\n';
 const ROUND: &str = r#"linecap="round""#;
 
 /// A text in the small size, from, around or up to a place on its base line.
-pub(super) fn text(svg: &mut String, place: [f64; 2], anchor: &str, text: &str) -> fmt::Result {
+pub(super) fn text(place: [f64; 2], anchor: &str, text: &str) -> String {
     let (x, anchor) = match anchor {
         "middle" => centred(place[0], text, TEXT_SIZE),
         other => (place[0], other),
     };
     let ([x, y], content) = ([x, place[1]].map(number), typeset::content(text, TEXT_SIZE));
-    writeln!(
-        svg,
-        r#"<text class="ink" fill="{INK}" text-anchor="{anchor}" x="{x}" y="{y}">{content}</text>"#
+    format!(
+        r#"<text class="ink" fill="{INK}" text-anchor="{anchor}" x="{x}" y="{y}">{content}</text>{END}"#
     )
 }
 
 /// A text in the middle of its slot.
-pub(super) fn label(svg: &mut String, slot: &Slot, text: &str) -> fmt::Result {
+pub(super) fn label(slot: &Slot, text: &str) -> String {
     let turn = (slot.centre, slot.angle.to_degrees());
-    turned(svg, "ink label", turn, 0.35 * TEXT_SIZE, (text, TEXT_SIZE))
+    turned("ink label", turn, 0.35 * TEXT_SIZE, (text, TEXT_SIZE))
 }
 
 /// A text with its size, around a place and turned there by an angle in degrees; its base line is `below`.
 pub(super) fn turned(
-    svg: &mut String,
     class: &str,
     ([x, y], degrees): ([f64; 2], f64),
     below: f64,
     (text, size): (&str, f64),
-) -> fmt::Result {
+) -> String {
     let ([x, y], below) = ([x, y].map(number), number(below));
     let mut transform = format!("translate({x} {y})");
     if degrees != 0.0 {
@@ -46,9 +44,8 @@ pub(super) fn turned(
     }
     let (start, anchor) = centred(0.0, text, size);
     let (start, content) = (number(start), typeset::content(text, size));
-    writeln!(
-        svg,
-        r#"<text class="{class}" fill="{INK}" font-size="{size}" text-anchor="{anchor}" transform="{transform}" x="{start}" y="{below}">{content}</text>"#
+    format!(
+        r#"<text class="{class}" fill="{INK}" font-size="{size}" text-anchor="{anchor}" transform="{transform}" x="{start}" y="{below}">{content}</text>{END}"#
     )
 }
 
@@ -62,17 +59,10 @@ fn centred(x: f64, text: &str, size: f64) -> (f64, &'static str) {
     }
 }
 
-pub(super) fn line(
-    svg: &mut String,
-    class: &str,
-    colour: &str,
-    width: f64,
-    ends: [f64; 4],
-) -> fmt::Result {
+pub(super) fn line(class: &str, colour: &str, width: f64, ends: [f64; 4]) -> String {
     let [x1, y1, x2, y2] = ends.map(number);
-    writeln!(
-        svg,
-        r#"<path class="{class}" stroke="{colour}" stroke-width="{width}" d="M{x1} {y1}L{x2} {y2}"/>"#
+    format!(
+        r#"<path class="{class}" stroke="{colour}" stroke-width="{width}" d="M{x1} {y1}L{x2} {y2}"/>{END}"#
     )
 }
 
@@ -114,7 +104,7 @@ pub(super) fn pen(look: Look) -> String {
 }
 
 /// A mark; `title` is its element, or empty.
-pub(super) fn mark(svg: &mut String, kind: MarkKind, place: [f64; 2], title: &str) -> fmt::Result {
+pub(super) fn mark(kind: MarkKind, place: [f64; 2], title: &str) -> String {
     let (shape, fill) = match kind {
         MarkKind::Start => ("m0 -1.25l1.2 2.1h-2.4z", PAPER),
         MarkKind::End => (
@@ -127,9 +117,8 @@ pub(super) fn mark(svg: &mut String, kind: MarkKind, place: [f64; 2], title: &st
         MarkKind::None => ("m-0.9 -0.9l1.8 1.8m0 -1.8l-1.8 1.8", "none"),
     };
     let [x, y] = place.map(number);
-    writeln!(
-        svg,
-        r#"<path class="mark {kind}" d="M{x} {y}{shape}" fill="{fill}" stroke="{INK}" stroke-width="0.35">{title}</path>"#
+    format!(
+        r#"<path class="mark {kind}" d="M{x} {y}{shape}" fill="{fill}" stroke="{INK}" stroke-width="0.35">{title}</path>{END}"#
     )
 }
 

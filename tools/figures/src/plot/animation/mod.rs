@@ -151,37 +151,27 @@ impl Frames {
         let step = STEP.max(driven / MAX_FRAMES);
         let moving = (driven / step).ceil() as usize;
         let frames = moving + (PAUSE / step).ceil() as usize;
-        let indices: Vec<usize> = (0..=frames)
-            .map(|frame| {
+        let ticks: Vec<&TickSample> = (0..=frames)
+            .filter_map(|frame| {
                 // Times of ticks jitter by far less than a frame.
                 let time = frame as f64 * step + 1e-3;
                 let after = drive.ticks.partition_point(|tick| tick.time <= time);
-                after.saturating_sub(1)
+                drive.ticks.get(after.saturating_sub(1))
             })
             .collect();
-        let pick = |value: &dyn Fn(usize, &TickSample) -> [f64; 2]| {
-            let values = indices.iter().map(|index| {
-                let tick = drive.ticks.get(*index);
-                tick.map_or([f64::NAN; 2], |tick| value(*index, tick))
-            });
-            held(values)
-        };
-        let nominal = drive.nominal();
-        let angles = |value: &dyn Fn(&TickSample) -> f64| {
-            pick(&|_, tick| [value(tick), 0.0])
-                .map(|all| all.iter().map(|[angle, _]| *angle).collect())
-        };
-        let mut yaw: Vec<f64> = angles(&|tick| tick.yaw)?;
+        let pick = |value: fn(&TickSample) -> [f64; 2]| held(ticks.iter().map(|tick| value(tick)));
+        let first = |places: Vec<[f64; 2]>| places.iter().map(|[angle, _]| *angle).collect();
+        let mut yaw: Vec<f64> = first(pick(|tick| [tick.yaw, 0.0])?);
         unwrap(&mut yaw);
         Some(Self {
             duration: frames as f64 * step,
             driven,
             step,
-            car: pick(&|_, tick| tick.place)?,
+            car: pick(|tick| tick.place)?,
             yaw,
-            steering: angles(&|tick| tick.steering)?,
-            point: pick(&|_, tick| tick.point)?,
-            reference: pick(&|index, _| nominal.get(index).copied().unwrap_or([f64::NAN; 2])),
+            steering: first(pick(|tick| [tick.steering, 0.0])?),
+            point: pick(|tick| tick.point)?,
+            reference: pick(|tick| tick.nominal),
             spans: drive.lost_markers(),
         })
     }

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use singletrack_control::VehicleParameters;
 use toml::Value;
 
-use crate::figure::trimmed;
+use crate::{figure::trimmed, output::fill};
 
 /// The car and its geofence, by the configuration.
 pub(super) struct Scene {
@@ -62,45 +62,33 @@ impl Scene {
             point,
             ..
         } = *self;
-        let overhang = 0.5 * (length - front_axle - rear_axle);
         let (wheel, tyre) = (0.17 * length, 0.07 * length);
-        let side = 0.5 * (width - tyre);
-        let tyre_at = |x: f64, y: f64| {
-            format!(
-                r#"<path class="wheel" stroke-width="{}" d="M{} {}h{}"/>"#,
-                number(tyre),
-                number(x - 0.5 * wheel),
-                number(y),
-                number(wheel)
-            )
+        let wheel_at = |x: f64, y: f64| {
+            let [tyre, x, y, wheel] = [tyre, x - 0.5 * wheel, y, wheel].map(number);
+            format!(r#"<path class="wheel" stroke-width="{tyre}" d="M{x} {y}h{wheel}"/>"#)
         };
-        let mut car = format!(
-            r#"<rect class="body" x="{}" y="{}" width="{}" height="{}" rx="{}"/>"#,
-            number(-rear_axle - overhang),
-            number(-0.5 * width),
-            number(length),
-            number(width),
-            number(0.12 * length)
-        );
-        for y in [-side, side] {
-            car.push_str(&tyre_at(-rear_axle, y));
-            let _ = write!(
-                car,
-                r#"<g transform="translate({} {})">{steering}{}</g></g>"#,
-                number(front_axle),
-                number(y),
-                tyre_at(0.0, 0.0)
-            );
-        }
-        let _ = write!(
-            car,
-            r#"<g transform="translate({} 0)">{steering}<path class="arm" d="M0 0h{}"/><circle class="point" cx="{}" r="{}"/></g></g>"#,
-            number(front_axle),
-            number(point),
-            number(point),
-            number(0.075 * length)
-        );
-        car
+        let axles = |side: f64| {
+            let (rear, front) = (wheel_at(-rear_axle, side), wheel_at(0.0, 0.0));
+            let [x, y] = [front_axle, side].map(number);
+            format!(r#"{rear}<g transform="translate({x} {y})">{steering}{front}</g></g>"#)
+        };
+        let overhang = 0.5 * (length - front_axle - rear_axle);
+        let side = 0.5 * (width - tyre);
+        fill(
+            include_str!("car.svg").trim_end(),
+            &[
+                ("body_left", number(-rear_axle - overhang)),
+                ("body_top", number(-0.5 * width)),
+                ("length", number(length)),
+                ("width", number(width)),
+                ("corner", number(0.12 * length)),
+                ("wheels", axles(-side) + &axles(side)),
+                ("front", number(front_axle)),
+                ("steering", steering.to_owned()),
+                ("point", number(point)),
+                ("point_radius", number(0.075 * length)),
+            ],
+        )
     }
 }
 
@@ -130,9 +118,8 @@ impl View {
     /// What shows these places with a car around each, and the geofence if it is near.
     pub(super) fn around(places: &[[f64; 2]], scene: &Scene) -> Self {
         let border = 0.6 * scene.length;
-        let driven = Bounds::of(places).wider(border);
-        let fence = Bounds::of(&scene.fence).wider(0.3 * border);
-        let both = driven.with(&fence);
+        let driven = Bounds::NONE.with(places, border);
+        let both = driven.with(&scene.fence, 0.3 * border);
         let is_near = both.width() <= FENCE_RATIO * driven.width()
             && both.height() <= FENCE_RATIO * driven.height();
         let seen = if is_near { both } else { driven };
@@ -191,38 +178,25 @@ impl View {
 }
 
 /// A rectangle on the floor.
+#[derive(Clone, Copy)]
 struct Bounds {
     low: [f64; 2],
     high: [f64; 2],
 }
 
 impl Bounds {
-    /// Of no places: nothing, which makes no other bounds wider.
-    fn of(places: &[[f64; 2]]) -> Self {
-        let end = |start: f64, pick: fn(f64, f64) -> f64| {
-            [0, 1].map(|axis: usize| places.iter().map(|place| place[axis]).fold(start, pick))
-        };
-        Self {
-            low: end(f64::INFINITY, f64::min),
-            high: end(f64::NEG_INFINITY, f64::max),
-        }
-    }
+    const NONE: Self = Self {
+        low: [f64::INFINITY; 2],
+        high: [f64::NEG_INFINITY; 2],
+    };
 
-    fn wider(self, by: f64) -> Self {
-        Self {
-            low: self.low.map(|low| low - by),
-            high: self.high.map(|high| high + by),
+    /// What holds these places with a border, too.
+    fn with(mut self, places: &[[f64; 2]], border: f64) -> Self {
+        for (axis, value) in places.iter().flat_map(|place| place.iter().enumerate()) {
+            self.low[axis] = self.low[axis].min(value - border);
+            self.high[axis] = self.high[axis].max(value + border);
         }
-    }
-
-    fn with(&self, other: &Self) -> Self {
-        let pick = |one: [f64; 2], other: [f64; 2], pick: fn(f64, f64) -> f64| {
-            [pick(one[0], other[0]), pick(one[1], other[1])]
-        };
-        Self {
-            low: pick(self.low, other.low, f64::min),
-            high: pick(self.high, other.high, f64::max),
-        }
+        self
     }
 
     fn width(&self) -> f64 {

@@ -90,7 +90,7 @@ fn linear(values: &Distribution, low: f64, high: f64) -> (Vec<Bar>, usize) {
     let high = high.max(low + 1.0);
     let edge = |index: usize| low + (high - low) * index as f64 / BARS as f64;
     let edges: Vec<f64> = (0..=BARS).map(edge).collect();
-    let bars = bars(values, &edges, false);
+    let bars = bars(values, &edges);
     let beyond = values.count() - values.count_up_to(high);
     (bars, beyond)
 }
@@ -104,26 +104,23 @@ fn logarithmic(values: &Distribution) -> Vec<Bar> {
     let decades = (most.max(10.0 * LEAST_LATENESS).log10().ceil()) as i32;
     let edge = |index: i32| 10_f64.powf(f64::from(index) / f64::from(BARS_A_DECADE));
     let edges: Vec<f64> = (0..=decades * BARS_A_DECADE).map(edge).collect();
-    bars(values, &edges, true)
+    bars(values, &edges)
 }
 
 /// The bars of the values from one edge up to the next, which the last bar includes; the first
-/// bar may hold all values below it.
-fn bars(values: &Distribution, edges: &[f64], all_below: bool) -> Vec<Bar> {
+/// bar holds all values below it as well.
+fn bars(values: &Distribution, edges: &[f64]) -> Vec<Bar> {
+    let mut below = 0;
     let bars = edges.windows(2).enumerate().map(|(index, ends)| {
-        let below = if all_below && index == 0 {
-            0
-        } else {
-            values.count_below(ends[0])
-        };
         let end = if index + 2 == edges.len() {
             values.count_up_to(ends[1])
         } else {
             values.count_below(ends[1])
         };
+        let count = end - std::mem::replace(&mut below, end);
         Bar {
             span: [ends[0], ends[1]],
-            height: 100.0 * end.saturating_sub(below) as f64 / values.count().max(1) as f64,
+            height: 100.0 * count as f64 / values.count().max(1) as f64,
         }
     });
     bars.collect()

@@ -3,14 +3,15 @@
 use super::LOST;
 use crate::{
     figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Scale, Symbol},
-    plot::{
-        drive::{BoardPoint, Drive, TickSample},
-        sample::TruthSample,
-    },
+    plot::drive::{Drive, Sample, TickSample},
 };
 
 /// The lowest tracking error on its logarithmic axis, in mm.
 const LEAST_ERROR: f64 = 0.1;
+
+/// Samples farther apart than this were not neighbours, in s: a line between them
+/// would be invented.
+const GAP: f64 = 0.25;
 
 /// A panel over the time of the drive, with the spans without markers.
 fn over_time(drive: &Drive, y: Axis, curves: Vec<Curve>) -> Panel {
@@ -22,31 +23,51 @@ fn over_time(drive: &Drive, y: Axis, curves: Vec<Curve>) -> Panel {
     }
 }
 
-/// A line through a number of each tick.
-fn curve(
-    drive: &Drive,
+const fn axis(
+    quantity: &'static str,
+    letter: &'static str,
+    below: &'static str,
+    unit: &'static str,
+) -> Axis {
+    Axis::new(quantity, Some(Symbol::new(letter, below)), unit)
+}
+
+/// A number for each sample, with a gap where samples are missing.
+fn column<S: Sample>(samples: &[S], value: impl Fn(&S) -> f64) -> Column {
+    let neighbours = samples.chunk_by(|one, next| next.time() - one.time() <= GAP);
+    let mut column = Vec::new();
+    for run in neighbours {
+        if !column.is_empty() {
+            column.push(f64::NAN);
+        }
+        column.extend(run.iter().map(&value));
+    }
+    column.into()
+}
+
+/// A line through a number of each sample.
+fn line<S: Sample>(
+    samples: &[S],
     name: &'static str,
     look: Look,
-    value: impl Fn(&TickSample) -> f64,
+    value: impl Fn(&S) -> f64,
 ) -> Curve {
-    let time = drive.column(|tick| tick.time);
-    Curve::new(name, look, &time, drive.column(value))
+    let time = column(samples, Sample::time);
+    Curve::new(name, look, &time, column(samples, value))
 }
 
-/// A line through a number of each of the board's samples.
-fn measured(drive: &Drive, name: &'static str, value: fn(&BoardPoint) -> f64) -> Curve {
-    let time = drive.board_column(|sample| sample.time);
-    Curve::new(name, Look::Measured, &time, drive.board_column(value))
-}
-
-/// Ground truth, if the car is simulated.
-fn truth(drive: &Drive, value: impl Fn(&TruthSample) -> f64) -> Curve {
-    true_curve(drive, drive.truth_column(value))
-}
-
-fn true_curve(drive: &Drive, values: Column) -> Curve {
-    let time = drive.truth_column(|sample| sample.time);
-    Curve::new("true", Look::Truth, &time, values)
+/// A line through a place of each sample.
+fn path<S: Sample>(
+    samples: &[S],
+    name: &'static str,
+    look: Look,
+    place: impl Fn(&S) -> [f64; 2],
+) -> Curve {
+    let [x, y] = [0, 1].map(|axis: usize| column(samples, |sample| place(sample)[axis]));
+    Curve {
+        time: Some(column(samples, Sample::time)),
+        ..Curve::new(name, look, &x, y)
+    }
 }
 
 /// A part of a caption that is not always true.
@@ -55,12 +76,11 @@ const fn only_if(is_so: bool, part: &str) -> &str {
 }
 
 pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
-    let panel = |below, axis: usize| {
-        let y = Axis::new("velocity", Some(Symbol::new("v", below)), "m/s");
-        let velocity = curve(drive, "commanded", Look::Actual, |tick| {
-            tick.point_velocity[axis]
-        });
-        over_time(drive, y, vec![velocity])
+    let panel = |below, along: usize| {
+        let y = axis("velocity", "v", below, "m/s");
+        let velocity = |tick: &TickSample| tick.point_velocity[along];
+        let curves = vec![line(&drive.ticks, "commanded", Look::Actual, velocity)];
+        over_time(drive, y, curves)
     };
     Figure::page(
         "Commanded velocity of P",
@@ -71,29 +91,29 @@ pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
 }
 
 pub(super) fn steering(drive: &Drive) -> Figure {
-    let y = Axis::new("steering", Some(Symbol::new("δ", "")), "rad");
     let curves = vec![
-        curve(drive, "commanded", Look::Actual, |tick| tick.steering),
-        truth(drive, |sample| sample.steering),
+        line(&drive.ticks, "commanded", Look::Actual, |it| it.steering),
+        line(&drive.truth, "true", Look::Truth, |it| it.steering),
     ];
     Figure::column(
         "Steering angle commanded by the law",
         "The steering angle that the linearising law asks for, after the limits of \
          angle and rate; left is positive.",
-        vec![over_time(drive, y, curves)],
+        vec![over_time(drive, axis("steering", "δ", "", "rad"), curves)],
     )
 }
 
 pub(super) fn speed(drive: &Drive) -> Figure {
-    let y = Axis::new("speed", Some(Symbol::new("v", "")), "m/s");
     let curves = vec![
-        curve(drive, "reference", Look::Nominal, |tick| {
-            tick.commanded_speed
+        line(&drive.ticks, "reference", Look::Nominal, |it| {
+            it.commanded_speed
         }),
-        curve(drive, "actual", Look::Actual, |tick| tick.speed),
+        line(&drive.ticks, "actual", Look::Actual, |it| it.speed),
         // Above what is estimated from them, which would hide them.
-        measured(drive, "motor pulses", |sample| sample.motor_speed),
-        truth(drive, |sample| sample.speed),
+        line(&drive.board, "motor pulses", Look::Measured, |it| {
+            it.motor_speed
+        }),
+        line(&drive.truth, "true", Look::Truth, |it| it.speed),
     ];
     Figure::column(
         "Reference and actual speed",
@@ -105,22 +125,20 @@ pub(super) fn speed(drive: &Drive) -> Figure {
                 ", and of the rear axle as the motor's pulses measure it"
             )
         ),
-        vec![over_time(drive, y, curves)],
+        vec![over_time(drive, axis("speed", "v", "", "m/s"), curves)],
     )
 }
 
 pub(super) fn position(drive: &Drive) -> Figure {
-    let time = drive.column(|tick| tick.time);
-    let nominal = drive.nominal();
-    let panel = |letter, axis: usize| {
-        let y = Axis::new("position", Some(Symbol::new(letter, "P")), "m");
-        let should = drive.spread(nominal.iter().map(|point| point[axis]));
+    let panel = |letter, along: usize| {
         let curves = vec![
-            Curve::new("nominal", Look::Nominal, &time, should),
-            curve(drive, "actual", Look::Actual, |tick| tick.point[axis]),
-            truth(drive, |sample| sample.point[axis]),
+            line(&drive.ticks, "nominal", Look::Nominal, |it| {
+                it.nominal[along]
+            }),
+            line(&drive.ticks, "actual", Look::Actual, |it| it.point[along]),
+            line(&drive.truth, "true", Look::Truth, |it| it.point[along]),
         ];
-        over_time(drive, y, curves)
+        over_time(drive, axis("position", letter, "P", "m"), curves)
     };
     Figure::page(
         "Position of P over time",
@@ -143,20 +161,15 @@ pub(super) fn position(drive: &Drive) -> Figure {
 
 pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
     let sideslip = vec![
-        curve(drive, "estimated", Look::Actual, |tick| tick.sideslip),
-        truth(drive, |sample| sample.sideslip),
+        line(&drive.ticks, "estimated", Look::Actual, |it| it.sideslip),
+        line(&drive.truth, "true", Look::Truth, |it| it.sideslip),
     ];
-    let gyro = measured(drive, "gyro", |sample| sample.yaw_rate);
+    let gyro = line(&drive.board, "gyro", Look::Measured, |it| it.yaw_rate);
     let has_gyro = !gyro.is_empty();
     let yaw_rate = vec![
         gyro,
-        curve(drive, "estimated", Look::Actual, |tick| tick.yaw_rate),
-        truth(drive, |sample| sample.yaw_rate),
-    ];
-    let [beta, r] = ["β", "r"].map(|letter| Some(Symbol::new(letter, "")));
-    let panels = vec![
-        over_time(drive, Axis::new("sideslip", beta, "rad"), sideslip),
-        over_time(drive, Axis::new("yaw rate", r, "rad/s"), yaw_rate),
+        line(&drive.ticks, "estimated", Look::Actual, |it| it.yaw_rate),
+        line(&drive.truth, "true", Look::Truth, |it| it.yaw_rate),
     ];
     Figure::page(
         "Sideslip angle and yaw rate",
@@ -165,26 +178,30 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
              its yaw rate{}; left is positive.",
             only_if(has_gyro, " over the gyro's samples")
         ),
-        panels,
+        vec![
+            over_time(drive, axis("sideslip", "β", "", "rad"), sideslip),
+            over_time(drive, axis("yaw rate", "r", "", "rad/s"), yaw_rate),
+        ],
     )
 }
 
 pub(super) fn tracking_error(drive: &Drive) -> Figure {
-    let errors = [drive.tracking_error(), drive.true_errors()].concat();
-    let found = || errors.iter().filter(|error| error.is_finite());
+    let true_errors = drive.truth.iter().map(|sample| drive.true_error(sample));
+    let errors = drive.ticks.iter().map(TickSample::error).chain(true_errors);
+    let errors: Vec<f64> = errors.filter(|error| error.is_finite()).collect();
     let [least, most] = [
-        found().fold(f64::INFINITY, |a, b| a.min(*b)),
-        found().fold(0.0, |a: f64, b| a.max(*b)),
+        errors.iter().copied().fold(f64::INFINITY, f64::min),
+        errors.iter().copied().fold(0.0, f64::max),
     ];
     // The approach and the last millimetres on one axis; but errors of one size as they are.
     let is_wide = most > 10.0 * least;
     let y = Axis {
         scale: if is_wide { Scale::Log } else { Scale::Linear },
         include: (!is_wide).then_some(0.0),
-        ..Axis::new("tracking error", Some(Symbol::new("e", "P")), "mm")
+        ..axis("tracking error", "e", "P", "mm")
     };
     let is_below = |error: f64| error * 1000.0 < LEAST_ERROR;
-    let is_cut = errors.iter().any(|error| is_below(*error));
+    let is_cut = is_below(least);
     // A comparison keeps the gaps, which `max` fills.
     let mm = |error: f64| {
         if is_below(error) {
@@ -193,12 +210,11 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
             error * 1000.0
         }
     };
-    let time = drive.column(|tick| tick.time);
-    let error = drive.spread(drive.tracking_error().into_iter().map(mm));
-    let true_error = drive.spread_truth(drive.true_errors().into_iter().map(mm));
     let curves = vec![
-        Curve::new("estimated", Look::Actual, &time, error),
-        true_curve(drive, true_error),
+        line(&drive.ticks, "estimated", Look::Actual, |it| mm(it.error())),
+        line(&drive.truth, "true", Look::Truth, |it| {
+            mm(drive.true_error(it))
+        }),
     ];
     Figure::column(
         "Tracking error of P",
@@ -212,37 +228,24 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
 }
 
 pub(super) fn trajectory(drive: &Drive) -> Figure {
-    let time = drive.column(|tick| tick.time);
-    let nominal = drive.nominal();
-    let nominal = |axis: usize| drive.spread(nominal.iter().map(|point| point[axis]));
-    let actual = |axis: usize| drive.column(|tick| tick.point[axis]);
-    let truth = |axis: usize| drive.truth_column(|sample| sample.point[axis]);
-    let over = |time: &Column, name, look, coordinate: &dyn Fn(usize) -> Column| Curve {
-        time: Some(time.clone()),
-        ..Curve::new(name, look, &coordinate(0), coordinate(1))
-    };
-    let true_time = drive.truth_column(|sample| sample.time);
     let what = match drive.is_estimated() {
         true => "P",
         false => "the rigid body",
     };
-    let curves = vec![
-        lost(drive),
-        over(&time, "nominal", Look::Nominal, &nominal),
-        over(&time, "actual", Look::Actual, &actual),
-        over(&true_time, "true", Look::Truth, &truth),
-    ];
-    let seen = || {
-        drive
-            .ticks
-            .iter()
-            .map(|tick| tick.point)
-            .filter(|point| point[0].is_finite())
-    };
+    let places = drive.ticks.iter().map(|tick| tick.point);
+    let mut seen = places.filter(|point| point[0].is_finite());
+    let start = seen.next();
     let ends = [
-        ("start", MarkKind::Start, seen().next()),
-        ("end", MarkKind::End, seen().next_back()),
+        ("start", MarkKind::Start, start),
+        ("end", MarkKind::End, seen.next_back().or(start)),
     ];
+    let mark = |(name, kind, point): (_, _, Option<_>)| {
+        Some(Mark {
+            name,
+            kind,
+            point: point?,
+        })
+    };
     Figure::column(
         format!("Trajectory of {what}"),
         format!(
@@ -256,11 +259,13 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         ),
         vec![Panel {
             height_mm: 90.0,
-            curves,
-            marks: ends
-                .into_iter()
-                .filter_map(|(name, kind, point)| point.map(|point| Mark { name, point, kind }))
-                .collect(),
+            curves: vec![
+                lost(drive),
+                path(&drive.ticks, "nominal", Look::Nominal, |it| it.nominal),
+                path(&drive.ticks, "actual", Look::Actual, |it| it.point),
+                path(&drive.truth, "true", Look::Truth, |it| it.point),
+            ],
+            marks: ends.into_iter().filter_map(mark).collect(),
             ..Panel::floor("P")
         }],
     )
@@ -269,32 +274,19 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
 /// The path while the markers were lost: the true one if it is known, or what
 /// the estimate held and then jumped to.
 fn lost(drive: &Drive) -> Curve {
-    let spans = drive.lost_markers();
-    let true_path = drive
-        .truth
-        .iter()
-        .flatten()
-        .map(|sample| (sample.time, sample.point));
-    let estimated = drive.ticks.iter().map(|tick| (tick.time, tick.point));
-    let path: Vec<(f64, [f64; 2])> = if drive.truth.is_some() {
-        true_path.collect()
-    } else {
-        estimated.collect()
+    let path: Vec<(f64, [f64; 2])> = match drive.truth.is_empty() {
+        false => drive.truth.iter().map(|it| (it.time, it.point)).collect(),
+        true => drive.ticks.iter().map(|it| (it.time, it.point)).collect(),
     };
     let mut points = Vec::new();
-    for [from, to] in spans {
+    for [from, to] in drive.lost_markers() {
         let first = path.partition_point(|(time, _)| *time < from);
         let end = path.partition_point(|(time, _)| *time <= to);
         // With the last point that was seen.
         points.extend(path.iter().take(end).skip(first.saturating_sub(1)));
         points.push((to, [f64::NAN; 2]));
     }
-    let column = |axis: usize| {
-        points
-            .iter()
-            .map(|(_, point)| point[axis])
-            .collect::<Column>()
-    };
+    let column = |axis: usize| -> Column { points.iter().map(|(_, point)| point[axis]).collect() };
     Curve {
         time: Some(points.iter().map(|(time, _)| *time).collect()),
         ..Curve::new(LOST, Look::Lost, &column(0), column(1))

@@ -29,7 +29,7 @@ pub(super) enum Fault {
     #[error("has {count} elements in {list}, and the map names number {index}, counted from 0")]
     Element {
         list: String,
-        count: u32,
+        count: usize,
         index: u32,
     },
 }
@@ -65,7 +65,11 @@ pub(super) struct Step {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Pick {
     Whole,
-    Index(u32),
+    /// By its place in the list of this name.
+    Index {
+        list: String,
+        index: u32,
+    },
     /// The first one in which a field, by its place, is this text.
     Named {
         key: usize,
@@ -76,15 +80,90 @@ pub(super) enum Pick {
 /// What is made of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum End {
-    Number(Kind),
+    Number,
     /// The yaw of a quaternion.
     Yaw,
     /// Seconds and nanoseconds.
     Stamp,
 }
 
-/// The contents of a message after its header.
-pub(super) fn contents(message: &[u8]) -> Result<Reader<'_>, Fault> {
+/// A field of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Value {
+    Number(f64),
+    Text(String),
+    /// The fields of a message, or the elements of a list.
+    Parts(Vec<Self>),
+}
+
+impl Value {
+    fn parts(&self) -> &[Self] {
+        match self {
+            Self::Parts(parts) => parts,
+            Self::Number(_) | Self::Text(_) => &[],
+        }
+    }
+
+    fn part(&self, place: usize) -> &Self {
+        const ABSENT: &Value = &Value::Number(f64::NAN);
+        self.parts().get(place).unwrap_or(ABSENT)
+    }
+
+    const fn number(&self) -> f64 {
+        match self {
+            Self::Number(number) => *number,
+            Self::Text(_) | Self::Parts(_) => f64::NAN,
+        }
+    }
+
+    fn text(&self) -> &str {
+        match self {
+            Self::Text(text) => text,
+            Self::Number(_) | Self::Parts(_) => "",
+        }
+    }
+
+    /// What is at a field of this message.
+    pub(super) fn find(&self, target: &Target) -> Result<Found, Fault> {
+        let mut value = self;
+        for Step { field, pick } in &target.steps {
+            value = value.part(*field);
+            let elements = value.parts();
+            match pick {
+                Pick::Whole => {}
+                Pick::Index { list, index } => {
+                    value = elements
+                        .get(*index as usize)
+                        .ok_or_else(|| Fault::Element {
+                            list: list.clone(),
+                            count: elements.len(),
+                            index: *index,
+                        })?;
+                }
+                Pick::Named { key, value: name } => {
+                    let is_named = |one: &&Self| one.part(*key).text() == name;
+                    let Some(named) = elements.iter().find(is_named) else {
+                        let names = elements.iter().map(|one| one.part(*key).text().to_owned());
+                        return Ok(Found::Absent(names.collect()));
+                    };
+                    value = named;
+                }
+            }
+        }
+        Ok(match target.end {
+            End::Number => Found::Number(value.number()),
+            End::Yaw => Found::Number(yaw([0, 1, 2, 3].map(|part| value.part(part).number()))),
+            End::Stamp => Found::Stamp {
+                seconds: value.part(0).number() as i32,
+                nanoseconds: value.part(1).number() as u32,
+            },
+        })
+    }
+}
+
+/// The fields of a message of this type, after its header. Fails unless the message is as long as its
+/// type; writers may fill its last word.
+pub(super) fn decode(message: &[u8], definition: &Definition) -> Result<Value, Fault> {
     const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
     let head = message.get(..4).unwrap_or(message);
     let big_endian = match head {
@@ -94,117 +173,57 @@ pub(super) fn contents(message: &[u8]) -> Result<Reader<'_>, Fault> {
         _ if head == ZSTD => return Err(Fault::Compressed),
         _ => return Err(Fault::Header(head.to_owned())),
     };
-    Ok(Reader {
+    let mut reader = Reader {
         bytes: message.get(4..).unwrap_or_default(),
         at: 0,
         big_endian,
-    })
+    };
+    let value = reader.message(definition, 0)?;
+    match reader.bytes.len().saturating_sub(reader.at) {
+        0..4 => Ok(value),
+        extra => Err(Fault::Long(extra)),
+    }
 }
 
 /// A place in a message.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Reader<'a> {
+struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
     big_endian: bool,
 }
 
 impl<'a> Reader<'a> {
-    /// Fails unless the message is as long as its type; writers may fill its last word.
-    pub(super) fn check(mut self, definition: &Definition) -> Result<(), Fault> {
-        self.skip_message(definition, 0)?;
-        match self.bytes.len().saturating_sub(self.at) {
-            0..4 => Ok(()),
-            extra => Err(Fault::Long(extra)),
+    fn message(&mut self, definition: &Definition, message: usize) -> Result<Value, Fault> {
+        let fields = definition.fields_of(message);
+        if fields.is_empty() {
+            // A message without fields has a byte all the same.
+            self.take(1)?;
         }
+        let fields = fields.iter().map(|field| self.field(definition, field));
+        Ok(Value::Parts(fields.collect::<Result<_, _>>()?))
     }
 
-    /// Goes to a field of the message and reads it.
-    pub(super) fn find(mut self, definition: &Definition, target: &Target) -> Result<Found, Fault> {
-        let mut message = 0;
-        for Step { field, pick } in &target.steps {
-            let fields = definition.fields_of(message);
-            for before in fields.get(..*field).unwrap_or_default() {
-                self.skip_field(definition, before)?;
-            }
-            let Some(field) = fields.get(*field) else {
-                break;
-            };
-            match pick {
-                Pick::Whole => {}
-                Pick::Index(index) => {
-                    let count = self.count(field)?;
-                    if *index >= count {
-                        return Err(Fault::Element {
-                            list: field.name.clone(),
-                            count,
-                            index: *index,
-                        });
-                    }
-                    self.skip_elements(definition, field.kind, *index)?;
-                }
-                Pick::Named { key, value } => {
-                    let names = self.find_named(definition, field, *key, value)?;
-                    if let Some(names) = names {
-                        return Ok(Found::Absent(names));
-                    }
-                }
-            }
-            if let Kind::Message(inner) = field.kind {
-                message = inner;
-            }
-        }
-        self.read(target.end)
-    }
-
-    /// Goes to the element in which the text at `key` is `value`; returns the texts of all if there is
-    /// none.
-    fn find_named(
-        &mut self,
-        definition: &Definition,
-        list: &Field,
-        key: usize,
-        value: &str,
-    ) -> Result<Option<Vec<String>>, Fault> {
-        let Kind::Message(element) = list.kind else {
-            return Ok(Some(Vec::new()));
+    /// Each element of a list has at least a byte: a false length ends with the message.
+    fn field(&mut self, definition: &Definition, field: &Field) -> Result<Value, Fault> {
+        let count = match field.count {
+            Count::One => return self.value(definition, field.kind),
+            Count::Array(length) => length,
+            Count::Sequence => self.length()?,
         };
-        let mut names = Vec::new();
-        for _ in 0..self.count(list)? {
-            let mut inside = *self;
-            let fields = definition.fields_of(element);
-            for before in fields.get(..key).unwrap_or_default() {
-                inside.skip_field(definition, before)?;
-            }
-            let name = inside.text()?;
-            if name == value.as_bytes() {
-                return Ok(None);
-            }
-            names.push(String::from_utf8_lossy(name).into_owned());
-            self.skip_message(definition, element)?;
-        }
-        Ok(Some(names))
+        let elements = (0..count).map(|_| self.value(definition, field.kind));
+        Ok(Value::Parts(elements.collect::<Result<_, _>>()?))
     }
 
-    fn read(&mut self, end: End) -> Result<Found, Fault> {
-        Ok(match end {
-            End::Number(kind) => Found::Number(self.number(kind)?),
-            End::Yaw => {
-                let mut parts = [0.0; 4];
-                for part in &mut parts {
-                    *part = self.number(Kind::Float(8))?;
-                }
-                Found::Number(yaw(parts))
+    fn value(&mut self, definition: &Definition, kind: Kind) -> Result<Value, Fault> {
+        Ok(Value::Number(match kind {
+            Kind::Text => {
+                let length = self.length()?;
+                let text = self.take(length as usize)?;
+                // A zero is at its end.
+                let text = text.strip_suffix(&[0]).unwrap_or(text);
+                return Ok(Value::Text(String::from_utf8_lossy(text).into_owned()));
             }
-            End::Stamp => Found::Stamp {
-                seconds: i32::from_ne_bytes(self.word()?),
-                nanoseconds: u32::from_ne_bytes(self.word()?),
-            },
-        })
-    }
-
-    fn number(&mut self, kind: Kind) -> Result<f64, Fault> {
-        Ok(match kind {
+            Kind::Message(message) => return self.message(definition, message),
             Kind::Bool => f64::from(u8::from(self.word::<1>()? != [0])),
             Kind::Unsigned(1) => f64::from(u8::from_ne_bytes(self.word()?)),
             Kind::Unsigned(2) => f64::from(u16::from_ne_bytes(self.word()?)),
@@ -216,90 +235,22 @@ impl<'a> Reader<'a> {
             Kind::Signed(_) => i64::from_ne_bytes(self.word()?) as f64,
             Kind::Float(4) => f64::from(f32::from_ne_bytes(self.word()?)),
             Kind::Float(_) => f64::from_ne_bytes(self.word()?),
-            Kind::Text | Kind::Message(_) => f64::NAN,
-        })
-    }
-
-    /// The bytes of a text, without the zero at its end.
-    fn text(&mut self) -> Result<&'a [u8], Fault> {
-        let length = self.length()?;
-        let text = self.take(length as usize)?;
-        Ok(text.strip_suffix(&[0]).unwrap_or(text))
+        }))
     }
 
     fn length(&mut self) -> Result<u32, Fault> {
         Ok(u32::from_ne_bytes(self.word()?))
     }
 
-    /// The number of elements of a field.
-    fn count(&mut self, field: &Field) -> Result<u32, Fault> {
-        match field.count {
-            Count::One => Ok(1),
-            Count::Array(length) => Ok(length),
-            Count::Sequence => self.length(),
-        }
-    }
-
-    fn skip_message(&mut self, definition: &Definition, message: usize) -> Result<(), Fault> {
-        let fields = definition.fields_of(message);
-        if fields.is_empty() {
-            // A message without fields has a byte all the same.
-            self.take(1)?;
-        }
-        for field in fields {
-            self.skip_field(definition, field)?;
-        }
-        Ok(())
-    }
-
-    fn skip_field(&mut self, definition: &Definition, field: &Field) -> Result<(), Fault> {
-        let count = self.count(field)?;
-        self.skip_elements(definition, field.kind, count)
-    }
-
-    /// Each element has at least a byte: a false length ends with the message.
-    fn skip_elements(
-        &mut self,
-        definition: &Definition,
-        kind: Kind,
-        count: u32,
-    ) -> Result<(), Fault> {
-        let size = match kind {
-            Kind::Bool => 1,
-            Kind::Unsigned(size) | Kind::Signed(size) | Kind::Float(size) => size,
-            Kind::Text => {
-                for _ in 0..count {
-                    self.text()?;
-                }
-                return Ok(());
-            }
-            Kind::Message(message) => {
-                for _ in 0..count {
-                    self.skip_message(definition, message)?;
-                }
-                return Ok(());
-            }
-        };
-        if count > 0 {
-            self.align(size);
-            self.take(size.saturating_mul(count as usize))?;
-        }
-        Ok(())
-    }
-
     /// A number, in the byte order of this computer.
     fn word<const N: usize>(&mut self) -> Result<[u8; N], Fault> {
-        self.align(N);
+        self.at = self.at.next_multiple_of(N);
         let mut word = [0; N];
         word.copy_from_slice(self.take(N)?);
         if self.big_endian != cfg!(target_endian = "big") {
             word.reverse();
         }
         Ok(word)
-    }
-
-    const fn align(&mut self, size: usize) {
-        self.at = self.at.next_multiple_of(size);
     }
 
     fn take(&mut self, length: usize) -> Result<&'a [u8], Fault> {
@@ -343,27 +294,29 @@ mod tests {
         let little = b"\0\x01\0\0\x07.......\0\0\0\0\0\0\xf8\x3f\x02\0\0\0\xff\xff\x05\0";
         let big = b"\0\0\0\0\x07.......\x3f\xf8\0\0\0\0\0\0\0\0\0\x02\xff\xff\0\x05";
         for message in [&little[..], &big[..]] {
-            let reader = contents(message).unwrap();
-            reader.check(&definition).unwrap();
-            for (field, pick, kind, value) in [
-                (0, Pick::Whole, Kind::Unsigned(1), 7.0),
-                (1, Pick::Whole, Kind::Float(8), 1.5),
-                (2, Pick::Index(0), Kind::Signed(2), -1.0),
-                (2, Pick::Index(1), Kind::Signed(2), 5.0),
+            let decoded = decode(message, &definition).unwrap();
+            let element = |index| Pick::Index {
+                list: "c".to_owned(),
+                index,
+            };
+            for (field, pick, value) in [
+                (0, Pick::Whole, 7.0),
+                (1, Pick::Whole, 1.5),
+                (2, element(0), -1.0),
+                (2, element(1), 5.0),
             ] {
-                let found = reader.find(&definition, &target(field, pick, End::Number(kind)));
+                let found = decoded.find(&target(field, pick, End::Number));
                 assert_eq!(found, Ok(Found::Number(value)));
             }
-            let beyond = target(2, Pick::Index(2), End::Number(Kind::Signed(2)));
-            let error = reader.find(&definition, &beyond).unwrap_err().to_string();
+            let beyond = target(2, element(2), End::Number);
+            let error = decoded.find(&beyond).unwrap_err().to_string();
             assert_eq!(
                 error,
                 "has 2 elements in c, and the map names number 2, counted from 0"
             );
-            let cut = contents(&message[..message.len() - 1]).unwrap();
-            assert_eq!(cut.check(&definition), Err(Fault::Short(message.len() - 1)));
-            let long = [message, &[0; 4]].concat();
-            let long = contents(&long).unwrap().check(&definition);
+            let cut = decode(&message[..message.len() - 1], &definition);
+            assert_eq!(cut, Err(Fault::Short(message.len() - 1)));
+            let long = decode(&[message, &[0; 4]].concat(), &definition);
             assert_eq!(long, Err(Fault::Long(4)));
         }
     }

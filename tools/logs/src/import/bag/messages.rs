@@ -6,8 +6,7 @@ use super::{
     Seconds,
     cdr::{self, Fault, Found, Target},
     definition::{Definition, short},
-    row::{Entry, Row, message_error},
-    wanted::{Source, Sources, Wanted},
+    wanted::{Entry, Row, Source, Sources, Wanted, message_error},
 };
 use crate::import::log::{ImportError, JITTER_NS};
 
@@ -39,7 +38,6 @@ pub(super) struct Messages {
     topics: Vec<KnownTopic>,
     plans: Vec<Plan>,
     entries: Vec<Entry>,
-    values: Vec<Option<f64>>,
 }
 
 struct KnownTopic {
@@ -70,7 +68,6 @@ impl Messages {
             topics: Vec::new(),
             plans: Vec::new(),
             entries: Vec::new(),
-            values: Vec::new(),
         }
     }
 
@@ -171,8 +168,7 @@ impl Messages {
         let number = topic.messages;
         let wrong = |why: String| message_error(&self.path, &topic.name, number, receive_ns, &why);
         let failed = |fault: Fault| wrong(format!(" {fault}"));
-        let contents = cdr::contents(bytes).map_err(failed)?;
-        contents.check(&plan.definition).map_err(failed)?;
+        let message = cdr::decode(bytes, &plan.definition).map_err(failed)?;
         for Reading {
             source: place,
             stamp,
@@ -182,10 +178,10 @@ impl Messages {
             let Some(source) = self.sources.sources.get_mut(*place) else {
                 continue;
             };
-            let first = self.values.len();
+            let mut values = Vec::with_capacity(fields.len());
             for (target, wanted) in fields.iter().zip(&mut source.fields) {
-                let found = contents.find(&plan.definition, target).map_err(failed)?;
-                self.values.push(match found {
+                let found = message.find(target).map_err(failed)?;
+                values.push(match found {
                     Found::Number(value) => Some(value),
                     Found::Stamp { .. } | Found::Absent(_) => None,
                 });
@@ -202,18 +198,13 @@ impl Messages {
                 }
                 None => receive_ns,
                 Some((target, wanted)) => {
-                    let found = contents.find(&plan.definition, target).map_err(failed)?;
+                    let found = message.find(target).map_err(failed)?;
                     let stamp_ns = stamp_ns(&found)
                         .map_err(|fault| wrong(format!(": its {} {fault}", wanted.text)))?;
                     wanted.note(found);
-                    match stamp_ns {
-                        Some(stamp_ns) => stamp_ns,
-                        None => {
-                            // The message is about other bodies.
-                            self.values.truncate(first);
-                            continue;
-                        }
-                    }
+                    // Without one, the message is about other bodies.
+                    let Some(stamp_ns) = stamp_ns else { continue };
+                    stamp_ns
                 }
             };
             self.entries.push(Entry {
@@ -226,7 +217,7 @@ impl Messages {
                     receive_ns
                 },
                 stamp_ns,
-                values: first,
+                values,
             });
         }
         Ok(())
@@ -241,27 +232,15 @@ impl Messages {
         }
         // A file is written in the order of reception, also by a recorder whose clock is wrong; of
         // several files the order may be another one.
-        if self.check_order().is_err() {
+        let mut disordered = self.check_order();
+        if disordered.is_err() {
             self.entries.sort_by_key(|entry| entry.receive_ns);
-            self.check_order()?;
+            disordered = self.check_order();
         }
-        let sorted = self.disordered();
+        let disordered = disordered?;
         self.entries.sort_by_key(|entry| entry.stamp_ns);
         self.check_gaps(longest_gap_ns)?;
-        Ok(sorted)
-    }
-
-    /// Messages that came after a later one of their source, by a little.
-    fn disordered(&self) -> u64 {
-        let mut last = vec![0; self.sources.sources.len()];
-        let mut count = 0;
-        for entry in &self.entries {
-            if let Some(last) = last.get_mut(entry.source) {
-                count += u64::from(entry.stamp_ns < *last);
-                *last = entry.stamp_ns.max(*last);
-            }
-        }
-        count
+        Ok(disordered)
     }
 
     /// The rows that the messages are, each with its time in ns since 1970.
@@ -270,8 +249,7 @@ impl Messages {
             let row = Row {
                 path: &self.path,
                 sources: &self.sources,
-                entry: *entry,
-                values: &self.values,
+                entry,
             };
             (entry.stamp_ns, row)
         })
@@ -311,8 +289,10 @@ impl Messages {
         }
     }
 
-    /// Fails if the times of a source go backwards.
-    fn check_order(&self) -> Result<(), ImportError> {
+    /// How many messages came after a later one of their source, by a little. Fails if the times of
+    /// a source go backwards.
+    fn check_order(&self) -> Result<u64, ImportError> {
+        let mut disordered = 0;
         let mut last = vec![0; self.sources.sources.len()];
         for entry in &self.entries {
             let Some(last) = last.get_mut(entry.source) else {
@@ -326,9 +306,10 @@ impl Messages {
                 );
                 return Err(self.time_error(entry, &fault));
             }
+            disordered += u64::from(entry.stamp_ns < *last);
             *last = entry.stamp_ns.max(*last);
         }
-        Ok(())
+        Ok(disordered)
     }
 
     /// Fails if there is a gap between the messages of all sources.

@@ -6,7 +6,6 @@ mod files;
 mod mcap;
 mod messages;
 mod path;
-mod row;
 mod sqlite;
 mod wanted;
 

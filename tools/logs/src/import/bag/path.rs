@@ -65,16 +65,13 @@ impl Path {
     /// The field in messages of this type; the reason if there is no such field, or none that the key
     /// can take.
     pub(super) fn resolve(&self, definition: &Definition, takes: Takes) -> Result<Target, String> {
-        let mut message = 0;
+        // The message itself, and of the last field its name and what it is.
+        let (mut before, mut kind) = ("", Kind::Message(0));
         let mut steps = Vec::new();
-        let mut last = None;
         for Part { field, element } in &self.0 {
-            if let Some(before) = last.replace(field.as_str()) {
-                match steps.last().map(|(_, kind)| *kind) {
-                    Some(Kind::Message(inner)) => message = inner,
-                    _ => return Err(format!("{before} has no fields")),
-                }
-            }
+            let Kind::Message(message) = kind else {
+                return Err(format!("{before} has no fields"));
+            };
             let (place, found) = find(definition, message, field)?;
             let pick = match (element, found.count) {
                 (None, Count::One) => Pick::Whole,
@@ -84,7 +81,10 @@ impl Path {
                     ));
                 }
                 (Some(_), Count::One) => return Err(format!("{field} is no list")),
-                (Some(Element::Index(index)), _) => Pick::Index(*index),
+                (Some(Element::Index(index)), _) => Pick::Index {
+                    list: field.clone(),
+                    index: *index,
+                },
                 (Some(Element::Named { key, value }), _) => {
                     let Kind::Message(inner) = found.kind else {
                         return Err(format!("{field} has no fields, such as {key}"));
@@ -99,17 +99,11 @@ impl Path {
                     }
                 }
             };
-            steps.push((Step { field: place, pick }, found.kind));
+            steps.push(Step { field: place, pick });
+            (before, kind) = (field, found.kind);
         }
-        let kind = steps.last().map(|(_, kind)| *kind);
-        let end = match kind {
-            Some(kind) => end(definition, kind, takes)?,
-            None => return Err("it names no field".to_owned()),
-        };
-        Ok(Target {
-            steps: steps.into_iter().map(|(step, _)| step).collect(),
-            end,
-        })
+        let end = end(definition, kind, takes)?;
+        Ok(Target { steps, end })
     }
 }
 
@@ -142,37 +136,32 @@ fn find<'a>(
 
 /// What is read of a field of this kind.
 fn end(definition: &Definition, kind: Kind, takes: Takes) -> Result<End, String> {
-    let is = |inner, names: &[&str], kind| {
-        let fields = definition.fields_of(inner);
-        fields.len() == names.len()
-            && fields.iter().zip(names).all(|(field, name)| {
-                (field.name.as_str(), field.kind, field.count) == (*name, kind, Count::One)
-            })
-    };
     let what = match kind {
         Kind::Text => "a text".to_owned(),
         Kind::Message(inner) => format!("a {}", definition.name_of(inner)),
         _ => "a number".to_owned(),
     };
-    match (takes, kind) {
-        (Takes::Number | Takes::Yaw, Kind::Text) => {}
-        (Takes::Yaw, Kind::Message(inner)) => {
-            if is(inner, &["x", "y", "z", "w"], Kind::Float(8)) {
-                return Ok(End::Yaw);
-            }
+    let fields = match kind {
+        Kind::Message(inner) => definition.fields_of(inner),
+        _ => &[],
+    };
+    let part = |field: &Field| (field.kind, field.count);
+    match (takes, kind, fields) {
+        (Takes::Yaw, _, [x, y, z, w])
+            if [x, y, z, w].map(|field| field.name.as_str()) == ["x", "y", "z", "w"]
+                && [x, y, z, w].map(part) == [(Kind::Float(8), Count::One); 4] =>
+        {
+            return Ok(End::Yaw);
         }
-        (Takes::Stamp, Kind::Message(inner)) => {
-            // Two fields of different kinds.
+        (Takes::Stamp, Kind::Message(inner), [seconds, nanoseconds])
             if definition.name_of(inner) == "builtin_interfaces/Time"
-                && let [seconds, nanoseconds] = definition.fields_of(inner)
-                && (seconds.kind, seconds.count) == (Kind::Signed(4), Count::One)
-                && (nanoseconds.kind, nanoseconds.count) == (Kind::Unsigned(4), Count::One)
-            {
-                return Ok(End::Stamp);
-            }
+                && part(seconds) == (Kind::Signed(4), Count::One)
+                && part(nanoseconds) == (Kind::Unsigned(4), Count::One) =>
+        {
+            return Ok(End::Stamp);
         }
-        (Takes::Number, Kind::Message(_)) | (Takes::Stamp, _) => {}
-        (Takes::Number | Takes::Yaw, number) => return Ok(End::Number(number)),
+        (_, Kind::Text | Kind::Message(_), _) | (Takes::Stamp, ..) => {}
+        (Takes::Number | Takes::Yaw, ..) => return Ok(End::Number),
     }
     let needed = match takes {
         Takes::Number => "a number",
@@ -215,7 +204,7 @@ mod tests {
             })
         );
         let button = resolved("sensor_msgs/Joy", "buttons[4]", Takes::Number).unwrap();
-        assert_eq!(button.end, End::Number(Kind::Signed(4)));
+        assert_eq!(button.end, End::Number);
         let stamp = resolved("sensor_msgs/Joy", "header.stamp", Takes::Stamp).unwrap();
         assert_eq!(stamp.end, End::Stamp);
     }

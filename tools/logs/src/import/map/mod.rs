@@ -278,18 +278,6 @@ impl PoseSection {
     }
 }
 
-impl ImuSection {
-    pub(super) fn interpolation(&self) -> Option<Interpolation> {
-        interpolation(self.interpolate_hz, self.longest_gap_s)
-    }
-}
-
-impl MotorSection {
-    pub(super) fn interpolation(&self) -> Option<Interpolation> {
-        interpolation(self.interpolate_hz, self.longest_gap_s)
-    }
-}
-
 macro_rules! with_messages {
     ($($section:ident $name:literal),*) => {
         $(
@@ -307,7 +295,10 @@ with_messages! {
     SteeringSection "steering", CommandSection "speed_command"
 }
 
-fn interpolation(rate_hz: Option<u32>, longest_gap_s: Option<f64>) -> Option<Interpolation> {
+pub(super) fn interpolation(
+    rate_hz: Option<u32>,
+    longest_gap_s: Option<f64>,
+) -> Option<Interpolation> {
     rate_hz.map(|rate_hz| Interpolation {
         rate_hz,
         longest_gap_ns: nanoseconds(longest_gap_s.unwrap_or(LONGEST_GAP_S)),

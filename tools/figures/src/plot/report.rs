@@ -3,9 +3,10 @@
 //! The page is readable without JavaScript, and prints the figures for print; the
 //! script puts canvases in their place.
 
-mod data;
+use std::collections::HashMap;
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
+use serde_json::{Value, json};
 use singletrack_record::{Level, Log, seconds_since};
 
 use super::{
@@ -16,7 +17,7 @@ use super::{
     summary::{self, Line},
 };
 use crate::{
-    figure::{Figure, escaped},
+    figure::{Axis, Column, Figure, Panel, Scale, escaped},
     output,
 };
 
@@ -25,14 +26,11 @@ const MOST_LOG_LINES: usize = 2_000;
 
 /// The report of a drive of a record; `number` counts from 1.
 pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
-    let mut figures = Vec::new();
-    let mut missing = Vec::new();
-    for kind in FigureKind::of(drive) {
-        match kind.draw(drive) {
-            Ok(figure) => figures.push((kind, figure)),
-            Err(why) => missing.push(format!("There is no figure {}: {why}.", kind.name())),
-        }
-    }
+    let (figures, missing) = super::draw(drive, FigureKind::of(drive));
+    let missing = missing.into_iter();
+    let mut missing: Vec<String> = missing
+        .map(|(kind, why)| format!("There is no figure {}: {why}.", kind.name()))
+        .collect();
     let name = record
         .path
         .file_name()
@@ -53,7 +51,7 @@ pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
     let notes: String = notes
         .map(|note| format!("<p class=\"note\">{}</p>\n", escaped(note)))
         .collect();
-    let data = data::json(&figures, drive.duration());
+    let data = data(&figures, drive.duration());
     fill(&[
         ("title", &escaped(&name)),
         ("subtitle", &escaped(&subtitle(drive))),
@@ -66,23 +64,23 @@ pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
         ("log", &log(&record.recording.log, drive)),
         ("configuration", &escaped(configuration)),
         ("data", &data),
-        ("script", include_str!("plot.js")),
+        ("script", include_str!("report/plot.js")),
     ])
 }
 
 /// The page with its parts.
 fn fill(parts: &[(&str, &str)]) -> String {
-    output::fill(include_str!("page.html"), parts)
+    output::fill(include_str!("report/page.html"), parts)
 }
 
 fn subtitle(drive: &Drive) -> String {
     format!(
         "A drive of {:.1} s. Times are since its first driving tick; {}.",
         drive.duration(),
-        if drive.truth.is_some() {
-            "ground truth is shown because the car is simulated"
-        } else {
+        if drive.truth.is_empty() {
             "all that is shown comes from the record"
+        } else {
+            "ground truth is shown because the car is simulated"
         }
     )
 }
@@ -105,11 +103,7 @@ fn row((name, value): &Line) -> String {
 }
 
 fn framed((kind, figure): &(FigureKind, Figure)) -> String {
-    let over_time = if data::is_interactive(figure) {
-        " time"
-    } else {
-        ""
-    };
+    let over_time = if is_interactive(figure) { " time" } else { "" };
     let width = figure.width;
     format!(
         "<figure id=\"{}\" class=\"{width}{over_time}\">\n<h3>{}</h3>\n<div class=\"live\"></div>\n\
@@ -176,6 +170,93 @@ fn table(lines: &[&Log], drive: &Drive) -> String {
     )
 }
 
+/// Whether the script draws a figure: histograms stay pictures.
+fn is_interactive(figure: &Figure) -> bool {
+    figure.panels.iter().all(|panel| panel.bars.is_empty())
+}
+
+/// The JSON of the figures that the script draws, up to `end`, in s. It can stand in HTML as it is.
+fn data(figures: &[(FigureKind, Figure)], end: f64) -> String {
+    let mut columns = Columns::default();
+    let figures: Vec<_> = figures
+        .iter()
+        .filter(|(_, figure)| is_interactive(figure))
+        .map(|(kind, figure)| {
+            let panels = figure.panels.iter();
+            let panels: Vec<_> = panels.map(|panel| columns.panel(panel)).collect();
+            json!({
+                "id": kind.name(),
+                "title": figure.title,
+                "caption": figure.caption,
+                "panels": panels,
+            })
+        })
+        .collect();
+    let data = json!({ "end": end, "columns": columns.texts, "figures": figures });
+    // Nothing in a script element may look like its end.
+    data.to_string().replace('<', "\\u003c")
+}
+
+/// Columns, each once: the times are the same in most figures.
+#[derive(Default)]
+struct Columns {
+    texts: Vec<String>,
+    numbers: HashMap<String, usize>,
+}
+
+impl Columns {
+    /// A panel; its curves name their columns by number.
+    fn panel(&mut self, panel: &Panel) -> Value {
+        let curves = panel.curves.iter().filter(|curve| !curve.is_empty());
+        let curves: Vec<_> = curves
+            .map(|curve| {
+                json!({
+                    "name": curve.name,
+                    "look": curve.look.name(),
+                    "x": self.number(&curve.x),
+                    "y": self.number(&curve.y),
+                    "time": self.number(curve.time.as_ref().unwrap_or(&curve.x)),
+                })
+            })
+            .collect();
+        let marks = panel.marks.iter();
+        let marks = marks.map(|mark| json!({ "kind": mark.kind.name(), "point": mark.point }));
+        json!({
+            "x": axis(&panel.x),
+            "y": axis(&panel.y),
+            "equal": panel.equal,
+            "spans": panel.spans,
+            "span": panel.span_name,
+            "curves": curves,
+            "marks": marks.collect::<Vec<_>>(),
+        })
+    }
+
+    /// The number of a column, which is written as the base 64 of 32-bit floats, little-endian.
+    fn number(&mut self, column: &Column) -> usize {
+        let bytes: Vec<u8> = column
+            .iter()
+            .flat_map(|value| (*value as f32).to_le_bytes())
+            .collect();
+        let text = STANDARD.encode(&bytes);
+        *self.numbers.entry(text).or_insert_with_key(|text| {
+            self.texts.push(text.clone());
+            self.texts.len() - 1
+        })
+    }
+}
+
+fn axis(axis: &Axis) -> Value {
+    json!({
+        "quantity": axis.quantity,
+        "letter": axis.symbol.map_or("", |symbol| symbol.letter),
+        "below": axis.symbol.map_or("", |symbol| symbol.below),
+        "unit": axis.unit,
+        "include": axis.include,
+        "log": axis.scale == Scale::Log,
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -200,5 +281,21 @@ mod tests {
         let page = fill(&parts);
         assert_eq!(page.matches("{title}").count(), names.len() + 1, "{page}");
         assert_eq!(page.matches('{').count(), names.len() + 1);
+    }
+}
+
+#[cfg(test)]
+mod data_tests {
+    use super::*;
+
+    #[test]
+    fn the_same_column_is_written_once() {
+        let mut columns = Columns::default();
+        let column: Column = [1.0, f64::NAN].into();
+        let same: Column = [1.0, f64::NAN].into();
+        let other: Column = [2.0].into();
+        let numbers = [&column, &same, &other].map(|column| columns.number(column));
+        assert_eq!(numbers, [0, 0, 1]);
+        assert_eq!(columns.texts[0], "AACAPwAAwH8=");
     }
 }
