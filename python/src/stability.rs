@@ -7,7 +7,9 @@ use pyo3::{
     types::{PyDict, PyTuple},
 };
 use pythonize::{depythonize, pythonize};
-use singletrack_analysis::stability::{self, Belief, ClosedLoop, Law, MarginLimits, SampledLoop};
+use singletrack_analysis::stability::{
+    self, Belief, ClosedLoop, Law, MarginLimits, SampledLoop, Timing,
+};
 use singletrack_campaign::{Experiment as _, run_units, thread_count};
 use singletrack_control::Reference;
 use singletrack_core::{setpoint::SetpointCommand, state_stream::States};
@@ -122,9 +124,11 @@ pub(crate) fn sampled(
     position_gain: f64,
     longest_delay: f64,
 ) -> PyResult<(f64, Option<f64>)> {
-    let sampled = SampledLoop::new(steady.closed_loop()?, period, delay)
-        .and_then(|sampled| sampled.with_position_gain(position_gain))
-        .map_err(refuse)?;
+    let timing = Timing {
+        position_gain,
+        ..Timing::new(period, delay)
+    };
+    let sampled = SampledLoop::new(steady.closed_loop()?, timing).map_err(refuse)?;
     let limits = MarginLimits {
         delay: longest_delay,
         ..MarginLimits::default()
