@@ -3,7 +3,6 @@
 mod collect;
 mod figures;
 mod output;
-pub mod study;
 
 use std::{
     fs,
