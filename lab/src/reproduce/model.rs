@@ -16,8 +16,8 @@ use super::{
     text::with_digits,
 };
 use crate::{
-    Result,
-    identify::{self, IdentifyArgs, IdentifyFormat, Report, SlipAngleKind, TyreKind},
+    Format, Result,
+    identify::{self, IdentifyArgs, Report, SlipAngleKind, TyreKind},
     table::Table,
     vehicle_file,
 };
@@ -93,7 +93,7 @@ fn identified(setup: &Setup, structure: Structure, parameters: &[Parameter]) -> 
         drive: None,
         least_speed: 0.5,
         out: None,
-        format: IdentifyFormat::Table,
+        format: Format::Table,
         validate_nominal: false,
     })
 }
