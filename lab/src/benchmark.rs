@@ -9,7 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use singletrack_analysis::identification::{Parameter, SimulationPoint};
@@ -19,8 +19,8 @@ use singletrack_logs::import::import;
 use singletrack_statistics::RootMeanSquare;
 
 use crate::{
-    Result,
-    identify::{self, Identified, IdentifyArgs, IdentifyFormat, SlipAngleKind, TyreKind},
+    Format, Result,
+    identify::{self, Identified, IdentifyArgs, SlipAngleKind, TyreKind},
     judge::{WHOLE, judge},
 };
 
@@ -39,17 +39,8 @@ pub struct BenchmarkArgs {
     pub cars: PathBuf,
 
     /// How to print the results.
-    #[arg(long, value_enum, default_value_t = BenchmarkFormat::Table)]
-    pub format: BenchmarkFormat,
-}
-
-/// How to print the results.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum BenchmarkFormat {
-    /// For a person.
-    Table,
-    /// One JSON object.
-    Json,
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    pub format: Format,
 }
 
 #[derive(Deserialize)]
@@ -130,8 +121,8 @@ pub fn run(args: &BenchmarkArgs) -> Result {
         results.push(measured(car, beside, &files)?);
     }
     let printed = match args.format {
-        BenchmarkFormat::Table => results.iter().map(table).collect(),
-        BenchmarkFormat::Json => {
+        Format::Table => results.iter().map(table).collect(),
+        Format::Json => {
             serde_json::to_string_pretty(&serde_json::json!({ "cars": results }))? + "\n"
         }
     };
@@ -200,7 +191,7 @@ fn measured(car: Car, beside: &Path, files: &[PathBuf]) -> Result<CarResult> {
         drive: None,
         least_speed: 0.5,
         out: None,
-        format: IdentifyFormat::Table,
+        format: Format::Table,
         validate_nominal: true,
     })?;
     let identification = &report.identified.identification;

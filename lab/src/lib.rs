@@ -20,6 +20,16 @@ pub mod vehicle_file;
 
 pub use singletrack_campaign::Result;
 
+/// How to print a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// For a person.
+    #[value(alias = "text")]
+    Table,
+    /// For a program: one JSON object, with every digit.
+    Json,
+}
+
 /// Prints a text as it is.
 fn print(text: &str) -> Result {
     singletrack_figures::output::print(text)

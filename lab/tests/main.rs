@@ -26,3 +26,4 @@ mod recorded;
 mod reproduce_command;
 mod stability_command;
 mod stability_figures;
+mod study;

@@ -178,21 +178,18 @@ mod thorough {
     use super::*;
 
     #[test]
-    fn there_is_a_figure_for_every_eigenvalue_and_three_of_the_sampled_loop() {
-        for (law, count) in [("front-point", 4), ("velocity-point", 3)] {
+    fn there_is_a_figure_of_region_and_eigenvalues_and_three_of_the_sampled_loop() {
+        for law in ["front-point", "velocity-point"] {
             let folder = tempfile::tempdir().unwrap();
             // Few points: the sampled loop takes its time.
             let few = ["--speeds", "1:4:1", "--dl", "-0.1:0.1:0.05", "--law", law];
-            let mut expected = vec!["region.svg".to_owned(), "eigenvalues.svg".to_owned()];
-            expected.extend((1..=count).map(|number| format!("eigenvalue-{number}.svg")));
-            expected.extend(
-                [
-                    "spectral-radius.svg",
-                    "delay-margin.svg",
-                    "marker-interval.svg",
-                ]
-                .map(str::to_owned),
-            );
+            let expected = [
+                "region.svg",
+                "eigenvalues.svg",
+                "spectral-radius.svg",
+                "delay-margin.svg",
+                "marker-interval.svg",
+            ];
             assert_eq!(drawn(folder.path(), &few), expected);
         }
     }

@@ -106,16 +106,20 @@ def compare(
             return lambda values: keys(*decide(state(values)))
         return lambda values: keys(*controller(state(values), path))
 
+    plan = {
+        "controllers": ["yours", *controllers],
+        "paths": list(paths),
+        "speeds_m_s": [float(speed) for speed in speeds],
+        "conditions": list(conditions),
+        "first_seed": first_seed,
+        "seeds": count,
+        "delay_seeds": count,
+    }
     table, markdown = _native.compare(
         begin,
+        plan,
         name=getattr(controller, "__name__", "yours") if name is None else name,
         point=point,
-        controllers=list(controllers),
-        paths=list(paths),
-        speeds=[float(speed) for speed in speeds],
-        conditions=list(conditions),
-        first_seed=first_seed,
-        count=count,
         threads=threads,
     )
     return Comparison(markdown=markdown, csv=table)

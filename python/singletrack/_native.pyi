@@ -20,25 +20,7 @@ _Arrays = tuple[
 _One = tuple[NDArray[np.float64], NDArray[np.float32], float, bool, bool, list[float], str]
 
 class Batch:
-    def __new__(
-        cls,
-        num_envs: int,
-        *,
-        whole_system: bool,
-        reference_toml: str,
-        configuration: str,
-        truth: str,
-        randomise: Sequence[tuple[str, float, float]],
-        reward: str,
-        control: str,
-        autoreset: str,
-        periods: int,
-        max_steps: int,
-        preview: Sequence[float],
-        lost_m: float,
-        start_error: Sequence[float],
-        threads: int,
-    ) -> Batch: ...
+    def __new__(cls, num_envs: int, options: dict[str, Any]) -> Batch: ...
     @property
     def columns(self) -> int: ...
     @property
@@ -155,22 +137,17 @@ class Simulator:
 
 def compare(
     begin: Callable[[Course], Callable[[dict[str, Any]], dict[str, Any]]],
+    plan: dict[str, Any],
     *,
     name: str,
     point: str,
-    controllers: Sequence[str],
-    paths: Sequence[str],
-    speeds: Sequence[float],
-    conditions: Sequence[str],
-    first_seed: int,
-    count: int,
     threads: int | None,
 ) -> tuple[str, str]: ...
 def truth_keys() -> list[tuple[str, str, str]]: ...
 def read_record(
     path: str, topics: Sequence[str] | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]: ...
-def paper_vehicle() -> list[tuple[str, float]]: ...
+def paper_vehicle() -> dict[str, float]: ...
 def model_derivative(
     kind: str,
     vehicle: Vehicle,

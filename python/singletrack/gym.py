@@ -224,7 +224,8 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         self._kind: str = chosen["observation"]
         # The wrapper TimeLimit of `make` truncates.
         chosen["native"]["max_steps"] = 2**31
-        self._native = _native.Batch(1, autoreset="disabled", threads=1, **chosen["native"])
+        native = {**chosen["native"], "autoreset": "disabled", "threads": 1}
+        self._native = _native.Batch(1, native)
         self.action_space = _action_space(self._native, chosen["native"]["control"])
         self.observation_space = _observation_space(self._native, chosen)
         self.timestep = chosen["native"]["periods"] * 0.01
@@ -336,9 +337,8 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
             threads = max(1, min(len(os.sched_getaffinity(0)), worth))
         self._kind: str = chosen["observation"]
         self._mode = mode
-        self._native = _native.Batch(
-            num_envs, autoreset=words[mode], threads=threads, **chosen["native"]
-        )
+        native = {**chosen["native"], "autoreset": words[mode], "threads": threads}
+        self._native = _native.Batch(num_envs, native)
         self.num_envs = num_envs
         self.single_action_space = _action_space(self._native, chosen["native"]["control"])
         self.single_observation_space = _observation_space(self._native, chosen)

@@ -17,7 +17,7 @@ from . import _native
 #: ``"relaxed"``: the simulator's, which also starts, stops and reverses.
 Kind = Literal["linear", "saturating", "relaxed"]
 
-_PAPER = dict(_native.paper_vehicle())
+_PAPER = _native.paper_vehicle()
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,11 @@ use std::{
 };
 
 use mcap::{Writer, records::MessageHeader};
-use pyo3::{
-    exceptions::PyOSError,
-    prelude::*,
-    types::{PyBytes, PyDict, PyList},
-};
+use pyo3::{exceptions::PyOSError, prelude::*, types::PyBytes};
 use singletrack_core::config::{MotionCaptureSection, ServerKind, TransportKind, UpAxis};
 use singletrack_mocap::{
-    Body, BodyState, CaptureTime, DEFAULT_COMMAND_PORT, Input, LocalEnd, NameText, Output, Phase,
-    SessionEvent, Source,
+    Body, BodyState, DEFAULT_COMMAND_PORT, Input, LocalEnd, NameText, Output, Phase, SessionEvent,
+    Source,
     codec::ClientMessage,
     encode,
     qualisys::packet::{DISCOVERY_PORT, discovery},
@@ -26,21 +22,21 @@ use singletrack_mocap::{
 
 use crate::setup::{fail, refuse};
 
-/// A rigid body of a frame, as it is handed to Python.
-struct Seen {
-    body: Body,
-    name: Option<String>,
-    frame: i32,
-    receive_ns: u64,
-    capture: Option<CaptureTime>,
-}
-
-/// What the session said during a call.
-#[derive(Default)]
-struct Said {
-    bodies: Vec<Seen>,
-    notes: Vec<String>,
-}
+/// The middle of an exposure with the bound on its error, in ns, and how it was found.
+type Exposure = (u64, u64, &'static str);
+/// Position (m), orientation as x, y, z, w, and mean error (m).
+type Pose = ((f64, f64, f64), (f64, f64, f64, f64), f64);
+/// A rigid body: its number and name, the number of its frame, when that arrived (ns), and its pose.
+type Seen = (
+    i32,
+    Option<String>,
+    i32,
+    u64,
+    Option<Exposure>,
+    Option<Pose>,
+);
+/// How many bytes the session used, and the bodies and notes for Python.
+type Said = (usize, Vec<Seen>, Vec<String>);
 
 /// A session with a server of any kind, without I/O.
 #[pyclass]
@@ -97,54 +93,45 @@ fn note(event: &SessionEvent) -> Option<String> {
 
 impl CameraSession {
     /// Lets the source act, and returns what it said and how many bytes it used.
-    fn act<'py>(
-        &mut self,
-        py: Python<'py>,
-        act: impl FnOnce(&mut Source, &mut dyn FnMut(Output<'_>)) -> usize,
-    ) -> PyResult<(usize, Bound<'py, PyList>, Vec<String>)> {
+    fn act(&mut self, act: impl FnOnce(&mut Source, &mut dyn FnMut(Output<'_>)) -> usize) -> Said {
         let Self { source, names } = self;
-        let mut said = Said::default();
+        let (mut bodies, mut notes) = (Vec::new(), Vec::new());
         let used = act(source, &mut |output| match output {
-            Output::Event(event) => said.notes.extend(note(&event)),
+            Output::Event(event) => notes.extend(note(&event)),
             Output::Names(all) => {
                 names.clear();
                 all.for_each(&mut |id, name| {
                     names.insert(id, NameText(name).to_string());
                 });
             }
-            Output::Frame(frame) => said.bodies.extend(frame.bodies().map(|body| Seen {
-                body,
-                name: names.get(&body.id).cloned(),
-                frame: frame.number,
-                receive_ns: frame.receive_time_ns,
-                capture: frame.capture,
-            })),
+            Output::Frame(frame) => {
+                let exposure = frame.capture.map(|capture| {
+                    let bound_ns = capture.uncertainty_ns;
+                    (capture.time_ns, bound_ns, capture.source.name())
+                });
+                let (number, receive_ns) = (frame.number, frame.receive_time_ns);
+                bodies.extend(frame.bodies().map(|body| {
+                    let name = names.get(&body.id).cloned();
+                    (body.id, name, number, receive_ns, exposure, pose(&body))
+                }));
+            }
         });
-        let list = PyList::empty(py);
-        for seen in said.bodies {
-            let capture = seen.capture;
-            let time = capture.map(|capture| {
-                let bound_ns = capture.uncertainty_ns;
-                (capture.time_ns, bound_ns, capture.source.name())
-            });
-            let pose = match seen.body.state {
-                BodyState::Tracked(pose) => {
-                    let ([x, y, z], [qx, qy, qz, w]) = (pose.position_m, pose.orientation_xyzw);
-                    Some(((x, y, z), (qx, qy, qz, w), pose.mean_error_m))
-                }
-                BodyState::Untracked | BodyState::Invalid(_) => None,
-            };
-            list.append((
-                seen.body.id,
-                seen.name,
-                seen.frame,
-                seen.receive_ns,
-                time,
-                pose,
-            ))?;
-        }
-        Ok((used, list, said.notes))
+        (used, bodies, notes)
     }
+
+    /// Takes an input, as [`act`](Self::act) does.
+    fn take(&mut self, now_ns: u64, input: Input<'_>) -> Said {
+        self.act(|source, on| source.handle_input(now_ns, input, on))
+    }
+}
+
+/// The pose of a body that is tracked.
+const fn pose(body: &Body) -> Option<Pose> {
+    let BodyState::Tracked(pose) = body.state else {
+        return None;
+    };
+    let ([x, y, z], [qx, qy, qz, w]) = (pose.position_m, pose.orientation_xyzw);
+    Some(((x, y, z), (qx, qy, qz, w), pose.mean_error_m))
 }
 
 #[pymethods]
@@ -191,64 +178,34 @@ impl CameraSession {
     }
 
     /// Takes a datagram.
-    fn datagram<'py>(
-        &mut self,
-        py: Python<'py>,
-        now_ns: u64,
-        source: (String, u16),
-        bytes: &[u8],
-    ) -> PyResult<(usize, Bound<'py, PyList>, Vec<String>)> {
+    fn datagram(&mut self, now_ns: u64, source: (String, u16), bytes: &[u8]) -> PyResult<Said> {
         let source = SocketAddr::new(IpAddr::V4(address("source", &source.0)?), source.1);
-        let input = Input::Datagram { source, bytes };
-        self.act(py, |session, on| session.handle_input(now_ns, input, on))
+        Ok(self.take(now_ns, Input::Datagram { source, bytes }))
     }
 
     /// The stream is open, from this address; datagrams arrive at the port.
-    fn opened<'py>(
-        &mut self,
-        py: Python<'py>,
-        now_ns: u64,
-        local: &str,
-        datagram_port: u16,
-    ) -> PyResult<(usize, Bound<'py, PyList>, Vec<String>)> {
-        let input = Input::Opened(LocalEnd {
+    fn opened(&mut self, now_ns: u64, local: &str, datagram_port: u16) -> PyResult<Said> {
+        let end = LocalEnd {
             address: IpAddr::V4(address("local", local)?),
             datagram_port,
-        });
-        self.act(py, |session, on| session.handle_input(now_ns, input, on))
+        };
+        Ok(self.take(now_ns, Input::Opened(end)))
     }
 
     /// Takes all bytes of the stream that were not used; returns how many were now.
-    fn received<'py>(
-        &mut self,
-        py: Python<'py>,
-        now_ns: u64,
-        bytes: &[u8],
-    ) -> PyResult<(usize, Bound<'py, PyList>, Vec<String>)> {
-        self.act(py, |session, on| {
-            session.handle_input(now_ns, Input::Stream(bytes), on)
-        })
+    fn received(&mut self, now_ns: u64, bytes: &[u8]) -> Said {
+        self.take(now_ns, Input::Stream(bytes))
     }
 
     /// The stream could not be opened, or has ended.
-    fn closed<'py>(
-        &mut self,
-        py: Python<'py>,
-        now_ns: u64,
-    ) -> PyResult<(usize, Bound<'py, PyList>, Vec<String>)> {
-        self.act(py, |session, on| {
-            session.handle_input(now_ns, Input::Closed, on)
-        })
+    fn closed(&mut self, now_ns: u64) -> Said {
+        self.take(now_ns, Input::Closed)
     }
 
     /// Acts on silence.
-    fn timeout<'py>(
-        &mut self,
-        py: Python<'py>,
-        now_ns: u64,
-    ) -> PyResult<(usize, Bound<'py, PyList>, Vec<String>)> {
-        self.act(py, |session, on| {
-            session.handle_timeout(now_ns, on);
+    fn timeout(&mut self, now_ns: u64) -> Said {
+        self.act(|source, on| {
+            source.handle_timeout(now_ns, on);
             0
         })
     }
@@ -288,18 +245,14 @@ impl CameraSession {
     }
 
     /// Frames taken, lost, late and damaged so far.
-    fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+    fn counters(&self) -> BTreeMap<&'static str, u64> {
         let counters = self.source.counters();
-        let all = PyDict::new(py);
-        for (name, value) in [
+        BTreeMap::from([
             ("frames", counters.frames),
             ("lost", counters.lost),
             ("late", counters.late + counters.duplicates),
             ("malformed", counters.malformed),
-        ] {
-            all.set_item(name, value)?;
-        }
-        Ok(all)
+        ])
     }
 }
 

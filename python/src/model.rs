@@ -1,53 +1,35 @@
 //! Vehicle models, for arrays of states, and the laws.
 
+use core::array::from_fn;
+
 use numpy::{
     PyArray2, PyReadonlyArray1, PyReadonlyArray2,
     ndarray::{Array2, ArrayView1},
 };
 use pyo3::prelude::*;
+use pythonize::{depythonize, pythonize};
 use singletrack_control::{
     Axles, FrontPointLaw, LateralMotion, Libm, Motion, Position, RelaxedSingleTrack, SingleTrack,
-    SingleTrackDerivative, SingleTrackState, Tyres, VehicleParameters, Velocity, VelocityPointLaw,
+    SingleTrackState, Tyres, VehicleParameters, Velocity, VelocityPointLaw,
 };
 
 use crate::setup::{choice, refuse};
 
-/// The parameters of a car: Python's `Vehicle` has fields of the same names.
-macro_rules! vehicle {
-    ($($name:ident),+ $(,)?) => {
-        /// Python's `Vehicle`.
-        #[derive(FromPyObject)]
-        pub(crate) struct Vehicle {
-            $($name: f64,)+
-        }
-
-        impl Vehicle {
-            /// The checked parameters.
-            pub(crate) fn parameters(&self) -> PyResult<VehicleParameters> {
-                let vehicle = VehicleParameters { $($name: self.$name,)+ };
-                vehicle.validate().map_err(refuse)?;
-                Ok(vehicle)
-            }
-        }
-
-        /// The names and values of the paper's car.
-        #[pyfunction]
-        pub(crate) fn paper_vehicle() -> Vec<(&'static str, f64)> {
-            let paper = VehicleParameters::paper();
-            vec![$((stringify!($name), paper.$name),)+]
-        }
-    };
+/// The checked parameters of a car: the fields of Python's `Vehicle`.
+pub(crate) fn parameters(vehicle: &Bound<'_, PyAny>) -> PyResult<VehicleParameters> {
+    let vehicle: VehicleParameters = depythonize(&vehicle.getattr("__dict__")?)?;
+    vehicle.validate().map_err(refuse)?;
+    Ok(vehicle)
 }
 
-vehicle!(
-    mass_kg,
-    yaw_inertia_kg_m2,
-    front_axle_distance_m,
-    rear_axle_distance_m,
-    friction,
-    front_cornering_stiffness_n_rad,
-    rear_cornering_stiffness_n_rad,
-);
+/// The names and values of the paper's car.
+#[pyfunction]
+pub(crate) fn paper_vehicle(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    Ok(pythonize(py, &VehicleParameters::paper())?)
+}
+
+/// x, y, yaw, yaw rate and sideslip, or their derivatives.
+type Columns = [f64; 5];
 
 /// One of the vehicle models.
 #[derive(Clone, Copy)]
@@ -58,8 +40,8 @@ enum Model {
 }
 
 impl Model {
-    fn new(kind: &str, vehicle: &Vehicle) -> PyResult<Self> {
-        let car = vehicle.parameters()?;
+    fn new(kind: &str, vehicle: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let car = parameters(vehicle)?;
         choice(
             "model",
             kind,
@@ -76,78 +58,50 @@ impl Model {
 
     fn derivative(
         &self,
-        state: &SingleTrackState,
+        [x, y, yaw, yaw_rate, sideslip]: Columns,
         speed: f64,
         steering: f64,
-    ) -> SingleTrackDerivative {
-        match self {
-            Self::Linear(model) => model.derivative(state, speed, steering),
-            Self::Relaxed(model) => model.derivative(state, speed, steering),
+    ) -> Columns {
+        let state = SingleTrackState {
+            x,
+            y,
+            yaw,
+            yaw_rate,
+            sideslip,
+        };
+        let slope = match self {
+            Self::Linear(model) => model.derivative(&state, speed, steering),
+            Self::Relaxed(model) => model.derivative(&state, speed, steering),
             Self::Saturating(axles) => {
                 let motion = LateralMotion {
-                    yaw_rate: state.yaw_rate,
-                    sideslip: state.sideslip,
+                    yaw_rate,
+                    sideslip,
                     speed,
                     steering,
                 };
                 let forces = axles.forces::<Libm, f64>(&motion);
                 state.derivative::<Libm>(speed, axles.lateral::<Libm, f64>(&motion, &forces))
             }
-        }
+        };
+        [slope.x, slope.y, slope.yaw, slope.yaw_rate, slope.sideslip]
     }
 
     /// A step of the classic Runge-Kutta method.
-    fn step(&self, s: &SingleTrackState, speed: f64, steering: f64, h: f64) -> SingleTrackState {
-        let at = |d: &SingleTrackDerivative, h: f64| SingleTrackState {
-            x: s.x + h * d.x,
-            y: s.y + h * d.y,
-            yaw: s.yaw + h * d.yaw,
-            yaw_rate: s.yaw_rate + h * d.yaw_rate,
-            sideslip: s.sideslip + h * d.sideslip,
-        };
-        let k1 = self.derivative(s, speed, steering);
-        let k2 = self.derivative(&at(&k1, h / 2.0), speed, steering);
-        let k3 = self.derivative(&at(&k2, h / 2.0), speed, steering);
-        let k4 = self.derivative(&at(&k3, h), speed, steering);
-        let mean = |f: fn(&SingleTrackDerivative) -> f64| {
-            (f(&k1) + 2.0 * f(&k2) + 2.0 * f(&k3) + f(&k4)) / 6.0
-        };
-        at(
-            &SingleTrackDerivative {
-                x: mean(|d| d.x),
-                y: mean(|d| d.y),
-                yaw: mean(|d| d.yaw),
-                yaw_rate: mean(|d| d.yaw_rate),
-                sideslip: mean(|d| d.sideslip),
-            },
-            h,
-        )
+    fn step(&self, state: Columns, speed: f64, steering: f64, h: f64) -> Columns {
+        let at = |slope: Columns, h: f64| -> Columns { from_fn(|i| state[i] + h * slope[i]) };
+        let slope = |state: Columns| self.derivative(state, speed, steering);
+        let k1 = slope(state);
+        let k2 = slope(at(k1, h / 2.0));
+        let k3 = slope(at(k2, h / 2.0));
+        let k4 = slope(at(k3, h));
+        let mean = from_fn(|i| (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]) / 6.0);
+        at(mean, h)
     }
 }
 
-fn state(row: ArrayView1<'_, f64>) -> PyResult<SingleTrackState> {
-    match row.to_vec()[..] {
-        [x, y, yaw, yaw_rate, sideslip] => Ok(SingleTrackState {
-            x,
-            y,
-            yaw,
-            yaw_rate,
-            sideslip,
-        }),
-        _ => Err(refuse(
-            "a state has five columns: x, y, yaw, yaw_rate, sideslip",
-        )),
-    }
-}
-
-const fn columns(state: &SingleTrackState) -> [f64; 5] {
-    [state.x, state.y, state.yaw, state.yaw_rate, state.sideslip]
-}
-
-fn write(rows: &mut Array2<f64>, index: usize, values: [f64; 5]) {
-    for (cell, value) in rows.row_mut(index).iter_mut().zip(values) {
-        *cell = value;
-    }
+fn columns(row: ArrayView1<'_, f64>) -> PyResult<Columns> {
+    let wrong = "a state has five columns: x, y, yaw, yaw_rate, sideslip";
+    row.to_vec().try_into().map_err(|_| refuse(wrong))
 }
 
 /// The derivative of each state.
@@ -155,25 +109,20 @@ fn write(rows: &mut Array2<f64>, index: usize, values: [f64; 5]) {
 pub(crate) fn model_derivative<'py>(
     py: Python<'py>,
     kind: &str,
-    vehicle: Vehicle,
+    vehicle: &Bound<'py, PyAny>,
     states: PyReadonlyArray2<'py, f64>,
     speed: PyReadonlyArray1<'py, f64>,
     steering: PyReadonlyArray1<'py, f64>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let model = Model::new(kind, &vehicle)?;
-    let states = states.as_array();
-    let mut derivatives = Array2::zeros((states.nrows(), 5));
-    let inputs = speed
-        .as_array()
-        .to_vec()
-        .into_iter()
-        .zip(steering.as_array().to_vec());
-    for ((index, row), (speed, steering)) in states.outer_iter().enumerate().zip(inputs) {
-        let d = model.derivative(&state(row)?, speed, steering);
-        let slope = [d.x, d.y, d.yaw, d.yaw_rate, d.sideslip];
-        write(&mut derivatives, index, slope);
-    }
-    Ok(PyArray2::from_owned_array(py, derivatives))
+    let model = Model::new(kind, vehicle)?;
+    let (states, speed, steering) = (states.as_array(), speed.as_array(), steering.as_array());
+    let inputs = speed.iter().zip(&steering);
+    let slopes: PyResult<Vec<Columns>> = states
+        .outer_iter()
+        .zip(inputs)
+        .map(|(row, (speed, steering))| Ok(model.derivative(columns(row)?, *speed, *steering)))
+        .collect();
+    Ok(PyArray2::from_owned_array(py, Array2::from(slopes?)))
 }
 
 /// The states of a car from a start, one more than there are inputs. Each input holds for
@@ -182,7 +131,7 @@ pub(crate) fn model_derivative<'py>(
 pub(crate) fn model_simulate<'py>(
     py: Python<'py>,
     kind: &str,
-    vehicle: Vehicle,
+    vehicle: &Bound<'py, PyAny>,
     start: PyReadonlyArray1<'py, f64>,
     speed: PyReadonlyArray1<'py, f64>,
     steering: PyReadonlyArray1<'py, f64>,
@@ -193,23 +142,21 @@ pub(crate) fn model_simulate<'py>(
             "the period is {period} s: it must be above zero and at most 10"
         )));
     }
-    let model = Model::new(kind, &vehicle)?;
-    let mut now = state(start.as_array())?;
-    let speed = speed.as_array().to_vec();
-    let steering = steering.as_array().to_vec();
+    let model = Model::new(kind, vehicle)?;
+    let mut now = columns(start.as_array())?;
+    let (speed, steering) = (speed.as_array().to_vec(), steering.as_array().to_vec());
     let states = py.detach(|| {
         let steps = (period / 1e-3).ceil().max(1.0);
-        let mut states = Array2::zeros((speed.len() + 1, 5));
-        write(&mut states, 0, columns(&now));
-        for (index, (speed, steering)) in speed.iter().zip(steering).enumerate() {
+        let mut states = vec![now];
+        for (speed, steering) in speed.into_iter().zip(steering) {
             for _ in 0..steps as u32 {
-                now = model.step(&now, *speed, steering, period / steps);
+                now = model.step(now, speed, steering, period / steps);
             }
-            write(&mut states, index + 1, columns(&now));
+            states.push(now);
         }
         states
     });
-    Ok(PyArray2::from_owned_array(py, states))
+    Ok(PyArray2::from_owned_array(py, Array2::from(states)))
 }
 
 /// Speed and steering rate of the proposed law.
@@ -245,9 +192,9 @@ pub(crate) fn velocity_point(
     sideslip: f64,
     velocity: [f64; 2],
     point_distance: f64,
-    vehicle: Vehicle,
+    vehicle: &Bound<'_, PyAny>,
 ) -> PyResult<(f64, f64)> {
-    let law = VelocityPointLaw::new(vehicle.parameters()?, point_distance).map_err(refuse)?;
+    let law = VelocityPointLaw::new(parameters(vehicle)?, point_distance).map_err(refuse)?;
     let motion = Motion {
         yaw,
         yaw_rate,

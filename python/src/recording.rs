@@ -12,49 +12,49 @@ use singletrack_record::{Ending, Reader, RecordError, Topic, Value};
 
 use crate::setup::refuse;
 
+/// All values as those of a kind; none if one is of another kind.
+fn all<T>(values: &[Value], kind: impl Fn(&Value) -> Option<T>) -> Option<Vec<T>> {
+    values.iter().map(kind).collect()
+}
+
 /// The values of a field in the order of the record, as an array: of truth values, of integers, of
 /// floats with NaN for an absent value, or a list of texts with `None`.
 fn array<'py>(py: Python<'py>, values: &[Value]) -> PyResult<Bound<'py, PyAny>> {
-    let any = |wanted: fn(&Value) -> bool| values.iter().any(wanted);
-    let absent = any(|value| matches!(value, Value::Absent));
-    if any(|value| matches!(value, Value::Text(_))) {
-        let list = PyList::empty(py);
-        for value in values {
-            match value {
-                Value::Text(text) => list.append(text.as_ref())?,
-                _ => list.append(py.None())?,
-            }
-        }
-        return Ok(list.into_any());
-    }
-    let all = |wanted: fn(&Value) -> bool| !absent && values.iter().all(wanted);
-    if all(|value| matches!(value, Value::Bool(_))) {
-        let bits = values.iter().map(|value| *value == Value::Bool(true));
-        return Ok(PyArray1::from_iter(py, bits).into_any());
-    }
-    if all(|value| matches!(value, Value::Unsigned(_))) {
-        let numbers = values.iter().map(|value| match value {
-            Value::Unsigned(number) => *number,
-            _ => 0,
-        });
-        return Ok(PyArray1::from_iter(py, numbers).into_any());
-    }
-    if all(|value| matches!(value, Value::Signed(_) | Value::Unsigned(_))) {
-        let numbers = values.iter().map(|value| match value {
-            Value::Signed(number) => *number,
-            Value::Unsigned(number) => i64::try_from(*number).unwrap_or(i64::MAX),
-            _ => 0,
-        });
-        return Ok(PyArray1::from_iter(py, numbers).into_any());
-    }
-    let numbers = values.iter().map(|value| match value {
+    let text = |value: &Value| match value {
+        Value::Text(text) => Some(text.to_string()),
+        _ => None,
+    };
+    let truth = |value: &Value| match value {
+        Value::Bool(bit) => Some(*bit),
+        _ => None,
+    };
+    let unsigned = |value: &Value| match value {
+        Value::Unsigned(number) => Some(*number),
+        _ => None,
+    };
+    let signed = |value: &Value| match value {
+        Value::Signed(number) => Some(*number),
+        Value::Unsigned(number) => Some(i64::try_from(*number).unwrap_or(i64::MAX)),
+        _ => None,
+    };
+    let float = |value: &Value| match value {
         Value::Float(number) => *number,
         Value::Unsigned(number) => *number as f64,
         Value::Signed(number) => *number as f64,
         Value::Bool(bit) => f64::from(u8::from(*bit)),
         Value::Absent | Value::Text(_) => f64::NAN,
-    });
-    Ok(PyArray1::from_iter(py, numbers).into_any())
+    };
+    Ok(if values.iter().any(|value| text(value).is_some()) {
+        PyList::new(py, values.iter().map(text))?.into_any()
+    } else if let Some(bits) = all(values, truth) {
+        PyArray1::from_vec(py, bits).into_any()
+    } else if let Some(numbers) = all(values, unsigned) {
+        PyArray1::from_vec(py, numbers).into_any()
+    } else if let Some(numbers) = all(values, signed) {
+        PyArray1::from_vec(py, numbers).into_any()
+    } else {
+        PyArray1::from_iter(py, values.iter().map(float)).into_any()
+    })
 }
 
 fn error(error: RecordError) -> PyErr {

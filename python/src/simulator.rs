@@ -10,7 +10,7 @@ use std::{
 use pyo3::{
     exceptions::{PyOSError, PyValueError},
     prelude::*,
-    types::PyDict,
+    types::{IntoPyDict as _, PyDict},
 };
 use pythonize::{depythonize, pythonize};
 use singletrack_api::{Fleet as Cars, FleetArm, FleetDrive as Drive, Request};
@@ -143,8 +143,7 @@ impl Simulator {
     fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let laboratory = self.laboratory()?;
         let truth = laboratory.drive.world.truth();
-        let dictionary = PyDict::new(py);
-        for (name, value) in [
+        let dictionary = [
             ("t", truth.time_us as f64 * 1e-6),
             ("x", truth.x),
             ("y", truth.y),
@@ -156,9 +155,8 @@ impl Simulator {
             ("wheel_speed", truth.wheel_speed),
             ("battery_v", truth.battery_v),
             ("way", truth.way),
-        ] {
-            dictionary.set_item(name, value)?;
-        }
+        ]
+        .into_py_dict(py)?;
         let [x, y] = laboratory.true_point();
         dictionary.set_item("point", (x, y))?;
         Ok(dictionary)

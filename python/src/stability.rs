@@ -7,27 +7,27 @@ use pyo3::{
     types::{PyDict, PyTuple},
 };
 use pythonize::{depythonize, pythonize};
-use singletrack_analysis::stability::{self, Belief, ClosedLoop, Law, MarginLimits, SampledLoop};
+use singletrack_analysis::stability::{
+    self, Belief, ClosedLoop, Law, MarginLimits, SampledLoop, Timing,
+};
 use singletrack_campaign::{Experiment as _, run_units, thread_count};
 use singletrack_control::Reference;
 use singletrack_core::{setpoint::SetpointCommand, state_stream::States};
 use singletrack_lab::{
-    compare::{
-        Comparison, Condition, ControllerName, OwnPoint, PathName, csv, lines_with, markdown,
-    },
+    compare::{Comparison, ControllerName, OwnPoint, csv, lines_with, markdown},
     stability::Subject,
 };
 use singletrack_scenario::virtual_drive::VirtualTick;
 
 use crate::{
-    model::Vehicle,
+    model::parameters,
     setup::{choice, fail, refuse},
 };
 
 /// A car in steady motion under a law.
 #[derive(FromPyObject)]
-pub(crate) struct Steady {
-    vehicle: Vehicle,
+pub(crate) struct Steady<'py> {
+    vehicle: Bound<'py, PyAny>,
     law: String,
     belief: String,
     point_distance: f64,
@@ -35,12 +35,12 @@ pub(crate) struct Steady {
     deviation: f64,
 }
 
-impl Steady {
+impl Steady<'_> {
     fn subject(&self) -> PyResult<Subject> {
         let laws = Law::ALL.map(|law| (law.name(), law));
         let beliefs = Belief::ALL.map(|belief| (belief.name(), belief));
         Ok(Subject {
-            vehicle: self.vehicle.parameters()?,
+            vehicle: parameters(&self.vehicle)?,
             law: choice("law", &self.law, &laws)?,
             belief: choice("belief", &self.belief, &beliefs)?,
             point_distance: self.point_distance,
@@ -57,7 +57,7 @@ impl Steady {
 #[pyfunction]
 pub(crate) fn eigenvalues<'py>(
     py: Python<'py>,
-    steady: Steady,
+    steady: Steady<'_>,
 ) -> PyResult<Bound<'py, PyArray1<Complex64>>> {
     let values = steady.closed_loop()?.eigenvalues();
     let values = values
@@ -68,34 +68,34 @@ pub(crate) fn eigenvalues<'py>(
 
 /// Whether the steady motion is stable.
 #[pyfunction]
-pub(crate) fn is_stable(steady: Steady) -> PyResult<bool> {
+pub(crate) fn is_stable(steady: Steady<'_>) -> PyResult<bool> {
     Ok(steady.closed_loop()?.is_stable())
 }
 
 /// The speed up to which the proposed law is stable.
 #[pyfunction]
 pub(crate) fn critical_speed(
-    vehicle: Vehicle,
+    vehicle: &Bound<'_, PyAny>,
     point_distance: f64,
     deviations: [f64; 2],
 ) -> PyResult<Option<f64>> {
-    stability::critical_speed(vehicle.parameters()?, point_distance, deviations).map_err(refuse)
+    stability::critical_speed(parameters(vehicle)?, point_distance, deviations).map_err(refuse)
 }
 
 /// The smallest p that is stable at every speed.
 #[pyfunction]
 pub(crate) fn smallest_point_distance(
-    vehicle: Vehicle,
+    vehicle: &Bound<'_, PyAny>,
     deviations: [f64; 2],
 ) -> PyResult<Option<f64>> {
-    stability::smallest_point_distance(vehicle.parameters()?, deviations).map_err(refuse)
+    stability::smallest_point_distance(parameters(vehicle)?, deviations).map_err(refuse)
 }
 
 /// The Hopf points over the deviation of the centre of mass.
 #[pyfunction]
 pub(crate) fn hopf_points<'py>(
     py: Python<'py>,
-    steady: Steady,
+    steady: Steady<'_>,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let points = steady.subject()?.hopf_points(steady.speed);
     let points = points.map_err(refuse)?.into_iter();
@@ -116,15 +116,17 @@ pub(crate) fn hopf_points<'py>(
 /// Spectral radius per tick of the sampled loop, and its delay margin in s.
 #[pyfunction]
 pub(crate) fn sampled(
-    steady: Steady,
+    steady: Steady<'_>,
     period: f64,
     delay: f64,
     position_gain: f64,
     longest_delay: f64,
 ) -> PyResult<(f64, Option<f64>)> {
-    let sampled = SampledLoop::new(steady.closed_loop()?, period, delay)
-        .and_then(|sampled| sampled.with_position_gain(position_gain))
-        .map_err(refuse)?;
+    let timing = Timing {
+        position_gain,
+        ..Timing::new(period, delay)
+    };
+    let sampled = SampledLoop::new(steady.closed_loop()?, timing).map_err(refuse)?;
     let limits = MarginLimits {
         delay: longest_delay,
         ..MarginLimits::default()
@@ -157,72 +159,36 @@ impl Course {
 /// `begin` makes a controller of a [`Course`]: from the keys of a state to those of a set-point.
 /// Returns the table as CSV and as Markdown.
 #[pyfunction]
-#[pyo3(signature = (
-    begin, *, name, point, controllers, paths, speeds, conditions, first_seed, count, threads
-))]
-#[expect(clippy::too_many_arguments, reason = "Python gives them by name")]
+#[pyo3(signature = (begin, plan, *, name, point, threads))]
 pub(crate) fn compare(
     py: Python<'_>,
     begin: &Bound<'_, PyAny>,
+    plan: &Bound<'_, PyAny>,
     name: &str,
     point: &str,
-    controllers: Vec<String>,
-    paths: Vec<String>,
-    speeds: Vec<f64>,
-    conditions: Vec<String>,
-    first_seed: u64,
-    count: u64,
     threads: Option<usize>,
 ) -> PyResult<(String, String)> {
-    let own = choice(
-        "point",
-        point,
-        &[
-            ("p", OwnPoint::P),
-            ("front-axle", OwnPoint::FrontAxle),
-            ("rear-axle", OwnPoint::RearAxle),
-        ],
-    )?;
+    let points = [
+        ("p", OwnPoint::P),
+        ("front-axle", OwnPoint::FrontAxle),
+        ("rear-axle", OwnPoint::RearAxle),
+    ];
+    let own = choice("point", point, &points)?;
     if name.is_empty() || name.contains([',', '|', '\n']) || ControllerName::named(name).is_some() {
         return Err(refuse(format!(
             "name is {name:?}: give one that no controller has, without comma, bar and line break"
         )));
     }
+    let plan: Comparison = depythonize(plan).map_err(refuse)?;
+    let speeds = &plan.speeds_m_s;
     if let Some(speed) = speeds.iter().find(|speed| !(0.1..=2.0).contains(*speed)) {
         return Err(refuse(format!(
             "a speed is {speed}: it lies between 0.1 and 2 m/s"
         )));
     }
-    if count == 0 {
+    if plan.seeds == 0 {
         return Err(refuse("count is 0: give at least one seed"));
     }
-    let all = |controller: ControllerName| (controller.name(), controller);
-    let known: Vec<_> = ControllerName::ALL
-        .into_iter()
-        .filter(|controller| *controller != ControllerName::Yours)
-        .map(all)
-        .collect();
-    let mut rows = vec![ControllerName::Yours];
-    for word in &controllers {
-        rows.push(choice("a controller", word, &known)?);
-    }
-    let plan = Comparison {
-        controllers: rows.into_iter().map(Into::into).collect(),
-        paths: words(
-            "a path",
-            &paths,
-            &PathName::ALL.map(|path| (path.name(), path)),
-        )?,
-        speeds_m_s: speeds,
-        conditions: words(
-            "a condition",
-            &conditions,
-            &Condition::ALL.map(|condition| (condition.name(), condition)),
-        )?,
-        first_seed,
-        seeds: count,
-        delay_seeds: count,
-    };
     let (yours, ours): (Vec<u64>, Vec<u64>) =
         (0..plan.units()).partition(|unit| plan.is_yours(*unit));
     let mut results = Vec::new();
@@ -251,10 +217,6 @@ pub(crate) fn compare(
     results.sort_by_key(|(unit, _)| *unit);
     let lines = lines_with(&plan, &results, name);
     Ok((csv(&lines), markdown(&lines)))
-}
-
-fn words<T: Copy>(name: &str, given: &[String], known: &[(&str, T)]) -> PyResult<Vec<T>> {
-    given.iter().map(|word| choice(name, word, known)).collect()
 }
 
 /// What the controller answers to a tick.

@@ -28,32 +28,6 @@ pub(crate) enum Command {
     PointVelocity([f64; 2]),
 }
 
-/// What the environments see of a car.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Seen {
-    pub(crate) x: f64,
-    pub(crate) y: f64,
-    pub(crate) yaw: f64,
-    pub(crate) yaw_rate: f64,
-    pub(crate) sideslip: f64,
-    pub(crate) speed: f64,
-    pub(crate) steering: f64,
-}
-
-impl From<Truth> for Seen {
-    fn from(truth: Truth) -> Self {
-        Self {
-            x: truth.x,
-            y: truth.y,
-            yaw: truth.yaw,
-            yaw_rate: truth.yaw_rate,
-            sideslip: truth.sideslip,
-            speed: truth.speed,
-            steering: truth.steering,
-        }
-    }
-}
-
 /// A simulated car under commands.
 #[derive(Debug)]
 pub(crate) enum Vehicle {
@@ -62,19 +36,19 @@ pub(crate) enum Vehicle {
 }
 
 impl Vehicle {
-    /// What the controller knows of the car.
-    pub(crate) fn seen(&self) -> Seen {
+    /// What the controller knows of the car: its motion alone.
+    pub(crate) fn seen(&self) -> Truth {
         match self {
-            Self::Plant(plant) => plant.truth.into(),
+            Self::Plant(plant) => plant.truth,
             Self::System(system) => system.seen(),
         }
     }
 
     /// The ground truth.
-    pub(crate) fn truth(&self) -> Seen {
+    pub(crate) fn truth(&self) -> Truth {
         match self {
-            Self::Plant(plant) => plant.truth.into(),
-            Self::System(system) => system.drive.world.truth().into(),
+            Self::Plant(plant) => plant.truth,
+            Self::System(system) => system.drive.world.truth(),
         }
     }
 
@@ -211,21 +185,32 @@ impl System {
         Ok(Self { drive, last })
     }
 
-    fn seen(&self) -> Seen {
+    fn seen(&self) -> Truth {
         let output = &self.last.tick.output;
-        output.estimate.map_or_else(Seen::default, |estimate| Seen {
-            x: estimate.position.x,
-            y: estimate.position.y,
-            yaw: estimate.yaw,
-            yaw_rate: estimate.yaw_rate,
-            sideslip: estimate.sideslip,
-            speed: estimate.speed,
-            steering: output.actuation.steering,
-        })
+        output
+            .estimate
+            .map_or_else(Truth::default, |estimate| Truth {
+                x: estimate.position.x,
+                y: estimate.position.y,
+                yaw: estimate.yaw,
+                yaw_rate: estimate.yaw_rate,
+                sideslip: estimate.sideslip,
+                speed: estimate.speed,
+                steering: output.actuation.steering,
+                ..Truth::default()
+            })
     }
 
     fn step(&mut self, command: Command) -> bool {
-        send(&self.drive, &self.last, command);
+        let now = self.last.now;
+        self.drive.send_setpoint(&match command {
+            Command::PointVelocity([x, y]) => Setpoint::point(now, None, Velocity::new(x, y)),
+            Command::Actuate([steering, speed]) => Setpoint::actuation(
+                now,
+                SteeringDemand::Angle(steering),
+                SpeedDemand::Speed(speed),
+            ),
+        });
         self.last = self.drive.step();
         self.last.tick.output.mode == Mode::Driving
     }
@@ -238,17 +223,4 @@ impl System {
             output.reason.map_or("", |reason| reason.name())
         }
     }
-}
-
-/// Sends a set-point that was decided after the tick `last`.
-pub(crate) fn send(drive: &VirtualDrive, last: &VirtualTick, command: Command) {
-    let setpoint = match command {
-        Command::PointVelocity([x, y]) => Setpoint::point(last.now, None, Velocity::new(x, y)),
-        Command::Actuate([steering, speed]) => Setpoint::actuation(
-            last.now,
-            SteeringDemand::Angle(steering),
-            SpeedDemand::Speed(speed),
-        ),
-    };
-    drive.send_setpoint(&setpoint);
 }

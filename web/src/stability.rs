@@ -5,8 +5,8 @@ use std::error::Error;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::{
-    Ages, Belief, ClosedLoop, Law, SampledLoop, Servo, critical_speed, first_unstable_speed,
-    hopf_points,
+    Ages, Belief, ClosedLoop, Law, SampledLoop, Servo, Timing, critical_speed,
+    first_unstable_speed, hopf_points,
 };
 use singletrack_control::VehicleParameters;
 
@@ -66,16 +66,18 @@ pub(crate) fn map(steady: &Steady) -> Result<Value, Box<dyn Error>> {
         lag: 0.04,
         dead_time: 0.002,
     };
-    let ages = Ages {
-        yaw_rate: 0.005,
-        sideslip: 0.0,
-    };
     // The timing of the simulated car, as `singletrack stability first-unstable-speed` has it.
-    let sampled = SampledLoop::new(closed, 0.01, 0.007)?
-        .with_predicted_pose(2)
-        .with_servo_frame(2)
-        .with_ages(ages)?
-        .with_servo(servo)?;
+    let timing = Timing {
+        predicted_pose: 2,
+        servo_frame: 2,
+        ages: Ages {
+            yaw_rate: 0.005,
+            sideslip: 0.0,
+        },
+        servo: Some(servo),
+        ..Timing::new(0.01, 0.007)
+    };
+    let sampled = SampledLoop::new(closed, timing)?;
     Ok(json!({
         "eigenvalues": eigenvalues,
         "stable": closed.is_stable(),

@@ -4,7 +4,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
-use singletrack_analysis::stability::{Ages, ClosedLoop, Compensation, Law, SampledLoop, Servo};
+use singletrack_analysis::stability::{
+    Ages, ClosedLoop, Compensation, Law, SampledLoop, Servo, Timing,
+};
 use singletrack_control::{
     ActuatorModel, Estimate, FrontPointLaw, Motion, Position, Predictor, Time, VehicleParameters,
     Velocity,
@@ -56,30 +58,26 @@ fn model(point: &Point) -> SampledLoop {
         lag: point.lag,
         dead_time: 0.0,
     };
-    let sampled = SampledLoop::new(closed_loop, PERIOD, seconds(point.delay))
-        .unwrap()
-        .with_servo(servo)
-        .unwrap()
-        .with_marker_interval(point.interval)
-        .with_predicted_pose(point.predicted)
-        .with_servo_frame(u32::try_from(point.frame).unwrap())
-        .with_ages(Ages {
+    let compensation = point.compensation.map(|dead_time| Compensation {
+        servo: Servo {
+            dead_time: seconds(dead_time),
+            ..servo
+        },
+        vehicle,
+    });
+    let timing = Timing {
+        servo: Some(servo),
+        marker_interval: point.interval,
+        predicted_pose: point.predicted,
+        servo_frame: u32::try_from(point.frame).unwrap(),
+        ages: Ages {
             yaw_rate: seconds(point.yaw_rate_age),
             sideslip: seconds(point.sideslip_age),
-        })
-        .unwrap();
-    match point.compensation {
-        None => sampled,
-        Some(dead_time) => sampled
-            .with_compensation(Compensation {
-                servo: Servo {
-                    dead_time: seconds(dead_time),
-                    ..servo
-                },
-                vehicle,
-            })
-            .unwrap(),
-    }
+        },
+        compensation,
+        ..Timing::new(PERIOD, seconds(point.delay))
+    };
+    SampledLoop::new(closed_loop, timing).unwrap()
 }
 
 /// The logarithm of the growth per tick, and the number of ticks that it is of.

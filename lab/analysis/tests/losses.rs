@@ -4,13 +4,13 @@
 
 use proptest::prelude::*;
 use singletrack_analysis::stability::{
-    Ages, ClosedLoop, Law, MarginLimits, OneLength, RandomLosses, SampledLoop, Servo,
+    Ages, ClosedLoop, Law, MarginLimits, OneLength, RandomLosses, SampledLoop, Servo, Timing,
 };
 use singletrack_control::VehicleParameters;
 
 fn sampled(law: Law, speed: f64) -> SampledLoop {
     let closed_loop = ClosedLoop::new(VehicleParameters::paper(), law, 0.35, speed, 0.0).unwrap();
-    SampledLoop::new(closed_loop, 0.01, 0.01).unwrap()
+    SampledLoop::new(closed_loop, Timing::new(0.01, 0.01)).unwrap()
 }
 
 /// The certified intervals and the witnesses of an analysis in another language.
@@ -31,24 +31,22 @@ fn irregular_poses_need_shorter_intervals_than_regular_ones() {
 
 #[test]
 fn a_function_falls_over_every_interval_on_the_simulated_car_and_under_the_appendix() {
-    let simulated = SampledLoop::new(
-        ClosedLoop::new(VehicleParameters::paper(), Law::FrontPoint, 0.35, 3.0, 0.0).unwrap(),
-        0.01,
-        0.007,
-    )
-    .unwrap()
-    .with_servo(Servo {
-        lag: 0.04,
-        dead_time: 0.002,
-    })
-    .unwrap()
-    .with_servo_frame(2)
-    .with_predicted_pose(2)
-    .with_ages(Ages {
-        yaw_rate: 0.005,
-        sideslip: 0.0,
-    })
-    .unwrap();
+    let timing = Timing {
+        servo: Some(Servo {
+            lag: 0.04,
+            dead_time: 0.002,
+        }),
+        servo_frame: 2,
+        predicted_pose: 2,
+        ages: Ages {
+            yaw_rate: 0.005,
+            sideslip: 0.0,
+        },
+        ..Timing::new(0.01, 0.007)
+    };
+    let closed_loop =
+        ClosedLoop::new(VehicleParameters::paper(), Law::FrontPoint, 0.35, 3.0, 0.0).unwrap();
+    let simulated = SampledLoop::new(closed_loop, timing).unwrap();
     assert!(simulated.irregular(10).common_function().is_some());
     assert!(simulated.unstable_pattern(24).is_some());
     let appendix = sampled(Law::VelocityPoint, 3.0);
@@ -137,7 +135,8 @@ proptest! {
         let period = bound / 12.0;
         let all = 0.99 * bound - 0.5 * period;
         let servo = Servo { lag: share * all, dead_time: 0.0 };
-        let sampled = SampledLoop::new(closed_loop, period, (1.0 - share) * all).unwrap();
-        prop_assert!(sampled.with_servo(servo).unwrap().is_stable(), "{} s", bound);
+        let timing = Timing { servo: Some(servo), ..Timing::new(period, (1.0 - share) * all) };
+        let sampled = SampledLoop::new(closed_loop, timing).unwrap();
+        prop_assert!(sampled.is_stable(), "{} s", bound);
     }
 }

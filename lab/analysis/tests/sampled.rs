@@ -5,7 +5,7 @@
 
 use nalgebra::Vector2;
 use singletrack_analysis::stability::{
-    ClosedLoop, Law, MarginLimits, SampledLoop, first_unstable_speed, least_point_distance,
+    ClosedLoop, Law, MarginLimits, SampledLoop, Timing, first_unstable_speed, least_point_distance,
 };
 use singletrack_control::{
     FrontPointLaw, Motion, SingleTrack, SingleTrackDerivative, SingleTrackState, VehicleParameters,
@@ -20,7 +20,11 @@ fn closed_loop(law: Law, speed: f64, deviation: f64) -> ClosedLoop {
 }
 
 fn sampled(law: Law, speed: f64, deviation: f64, delay: f64) -> SampledLoop {
-    SampledLoop::new(closed_loop(law, speed, deviation), PERIOD, delay).unwrap()
+    timed(law, speed, deviation, Timing::new(PERIOD, delay))
+}
+
+fn timed(law: Law, speed: f64, deviation: f64, timing: Timing) -> SampledLoop {
+    SampledLoop::new(closed_loop(law, speed, deviation), timing).unwrap()
 }
 
 #[test]
@@ -30,7 +34,7 @@ fn a_fast_sampled_loop_equals_the_continuous_loop() {
             let closed_loop = closed_loop(law, speed, 0.004);
             let period = 1e-5;
             let growth = libm::log(
-                SampledLoop::new(closed_loop, period, 0.0)
+                SampledLoop::new(closed_loop, Timing::new(period, 0.0))
                     .unwrap()
                     .spectral_radius(),
             ) / period;
@@ -164,9 +168,11 @@ fn the_spectral_radius_equals_the_simulated_growth() {
         (Law::VelocityPoint, 2.0, 0.0, 2, 30),
         (Law::VelocityPoint, 2.0, 0.06, 1, 1),
     ] {
-        let by_matrix = sampled(law, speed, deviation, late as f64 * PERIOD)
-            .with_marker_interval(u32::try_from(interval).unwrap())
-            .spectral_radius();
+        let timing = Timing {
+            marker_interval: u32::try_from(interval).unwrap(),
+            ..Timing::new(PERIOD, late as f64 * PERIOD)
+        };
+        let by_matrix = timed(law, speed, deviation, timing).spectral_radius();
         let by_simulation = simulated_growth(law, speed, deviation, late, interval);
         assert!(
             (by_matrix - by_simulation).abs() < 3e-4,
@@ -195,21 +201,30 @@ fn the_longest_constant_interval_is_the_last_stable_one() {
         (Law::FrontPoint, 1.0),
         (Law::VelocityPoint, 0.0),
     ] {
-        let sampled = sampled(law, 2.0, 0.0, 0.01)
-            .with_position_gain(gain)
-            .unwrap();
-        let longest = sampled.longest_constant_interval(limits).unwrap();
+        let seen_every = |marker_interval: u32| {
+            let timing = Timing {
+                position_gain: gain,
+                marker_interval,
+                ..Timing::new(PERIOD, 0.01)
+            };
+            timed(law, 2.0, 0.0, timing)
+        };
+        let longest = seen_every(1).longest_constant_interval(limits).unwrap();
         let ticks = (longest / PERIOD).round() as u32;
         assert!(ticks > 10);
-        assert!(sampled.with_marker_interval(ticks).spectral_radius() < 1.0);
-        assert!(sampled.with_marker_interval(ticks + 1).spectral_radius() >= 1.0);
+        assert!(seen_every(ticks).spectral_radius() < 1.0);
+        assert!(seen_every(ticks + 1).spectral_radius() >= 1.0);
     }
 }
 
 #[test]
 fn the_limits_of_speed_and_of_p_are_those_of_the_marker_interval() {
     for interval in [1, 7, 20, 60] {
-        let sampled = sampled(Law::FrontPoint, 1.0, 0.0, 0.01).with_marker_interval(interval);
+        let timing = Timing {
+            marker_interval: interval,
+            ..Timing::new(PERIOD, 0.01)
+        };
+        let sampled = timed(Law::FrontPoint, 1.0, 0.0, timing);
         let radius = |speed: f64, distance: f64| {
             let at = closed_loop(Law::FrontPoint, speed, 0.0);
             sampled
@@ -250,7 +265,7 @@ fn a_slow_car_is_stable_up_to_the_limits_of_the_search() {
 #[test]
 fn invalid_sampling_parameters_are_rejected_by_name() {
     let closed_loop = closed_loop(Law::FrontPoint, 1.0, 0.0);
-    let error = SampledLoop::new(closed_loop, 0.0, 0.0)
+    let error = SampledLoop::new(closed_loop, Timing::new(0.0, 0.0))
         .unwrap_err()
         .to_string();
     assert_eq!(
@@ -258,15 +273,17 @@ fn invalid_sampling_parameters_are_rejected_by_name() {
         "the control period in s is 0: it must be finite and above zero"
     );
     assert!(
-        SampledLoop::new(closed_loop, 0.01, -0.1)
+        SampledLoop::new(closed_loop, Timing::new(0.01, -0.1))
             .unwrap_err()
             .to_string()
             .contains("delay")
     );
-    let sampled = SampledLoop::new(closed_loop, 0.01, 0.0).unwrap();
+    let timing = Timing {
+        position_gain: f64::NAN,
+        ..Timing::new(0.01, 0.0)
+    };
     assert!(
-        sampled
-            .with_position_gain(f64::NAN)
+        SampledLoop::new(closed_loop, timing)
             .unwrap_err()
             .to_string()
             .contains("NaN")

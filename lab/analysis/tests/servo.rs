@@ -8,7 +8,7 @@ use std::{collections::VecDeque, f64::consts::PI};
 
 use nalgebra::{Complex, Vector2};
 use singletrack_analysis::stability::{
-    ClosedLoop, Law, MarginLimits, Prediction, SampledLoop, Servo, first_unstable_speed,
+    ClosedLoop, Law, MarginLimits, Prediction, SampledLoop, Servo, Timing, first_unstable_speed,
     least_point_distance,
 };
 use singletrack_control::{
@@ -34,18 +34,28 @@ fn closed_loop(p: f64, speed: f64, deviation: f64) -> ClosedLoop {
     .unwrap()
 }
 
-fn on_the_car(p: f64, speed: f64, gain: f64) -> SampledLoop {
-    SampledLoop::new(closed_loop(p, speed, 0.0), 0.01, DELAY)
-        .unwrap()
-        .with_servo(SERVO)
-        .unwrap()
-        .with_position_gain(gain)
-        .unwrap()
+const fn timing(gain: f64) -> Timing {
+    Timing {
+        servo: Some(SERVO),
+        position_gain: gain,
+        ..Timing::new(0.01, DELAY)
+    }
 }
 
-fn predicting(sampled: SampledLoop) -> SampledLoop {
-    let prediction = sampled.exact_prediction().unwrap();
-    sampled.with_prediction(prediction).unwrap()
+fn on_the_car(p: f64, speed: f64, gain: f64) -> SampledLoop {
+    SampledLoop::new(closed_loop(p, speed, 0.0), timing(gain)).unwrap()
+}
+
+fn exact_prediction() -> Option<Prediction> {
+    timing(0.0).exact_prediction(VehicleParameters::paper())
+}
+
+fn with_prediction(p: f64, speed: f64, gain: f64, prediction: Prediction) -> SampledLoop {
+    let timing = Timing {
+        prediction: Some(prediction),
+        ..timing(gain)
+    };
+    SampledLoop::new(closed_loop(p, speed, 0.0), timing).unwrap()
 }
 
 /// The delay at which the continuous loop with the lag of a servo loses its stability, by the
@@ -118,14 +128,15 @@ fn the_delay_margin_tends_to_that_of_the_continuous_delay_system() {
     ] {
         let expected = continuous_delay_margin(p, speed, deviation, gain, SERVO.lag);
         let at = |period: f64| {
-            SampledLoop::new(closed_loop(p, speed, deviation), period, 0.0)
-                .unwrap()
-                .with_servo(Servo {
+            let timing = Timing {
+                servo: Some(Servo {
                     dead_time: 0.0,
                     ..SERVO
-                })
-                .unwrap()
-                .with_position_gain(gain)
+                }),
+                position_gain: gain,
+                ..Timing::new(period, 0.0)
+            };
+            SampledLoop::new(closed_loop(p, speed, deviation), timing)
                 .unwrap()
                 .delay_margin(MarginLimits::default())
                 .unwrap()
@@ -286,11 +297,11 @@ fn the_spectral_radius_with_servo_and_prediction_equals_the_simulated_growth() {
     };
     for (p, speed) in [(0.35, 1.0), (0.35, 3.0), (0.1, 2.0), (0.03, 1.0)] {
         let plain = on_the_car(p, speed, 0.0);
-        let exact = plain.exact_prediction();
+        let exact = exact_prediction();
         for prediction in [None, exact, Some(wrong)] {
             let sampled = match prediction {
                 None => plain,
-                Some(prediction) => plain.with_prediction(prediction).unwrap(),
+                Some(prediction) => with_prediction(p, speed, 0.0, prediction),
             };
             let by_matrix = sampled.spectral_radius();
             let seen = prediction.map_or(Seen::AtTheTick, Seen::Predicted);
@@ -324,7 +335,7 @@ fn with_the_simulated_servo_each_p_has_a_first_unstable_speed() {
 fn an_exact_prediction_removes_the_first_unstable_speed() {
     for p in [0.03, 0.05, 0.1, 0.2, 0.35] {
         for gain in [0.0, 1.0, 2.0] {
-            let sampled = predicting(on_the_car(p, 1.0, gain));
+            let sampled = with_prediction(p, 1.0, gain, exact_prediction().unwrap());
             let first = first_unstable_speed(&sampled, &[0.0], SPEEDS).unwrap();
             println!("{p} {gain}: {first:?}");
             assert_eq!(first, None, "{p} {gain}");
@@ -348,13 +359,12 @@ type Wrong = fn(&mut Prediction, f64);
 
 /// The least first unstable speed over predictions with `part` wrong by ±20 %.
 fn with_wrong(p: f64, wrong: Wrong) -> Option<f64> {
-    let plain = on_the_car(p, 1.0, 1.0);
     [0.8, 1.2]
         .into_iter()
         .filter_map(|factor| {
-            let mut prediction = plain.exact_prediction().unwrap();
+            let mut prediction = exact_prediction().unwrap();
             wrong(&mut prediction, factor);
-            let sampled = plain.with_prediction(prediction).unwrap();
+            let sampled = with_prediction(p, 1.0, 1.0, prediction);
             first_unstable_speed(&sampled, &[0.0], SPEEDS).unwrap()
         })
         .reduce(f64::min)
@@ -364,10 +374,11 @@ fn with_wrong(p: f64, wrong: Wrong) -> Option<f64> {
 fn the_least_p_grows_with_the_speed_and_the_delay() {
     let distances = [0.01, 2.0];
     let least = |speed: f64, delay: f64| {
-        let sampled = SampledLoop::new(closed_loop(0.35, speed, 0.0), 0.01, delay)
-            .unwrap()
-            .with_servo(SERVO)
-            .unwrap();
+        let timing = Timing {
+            delay,
+            ..timing(0.0)
+        };
+        let sampled = SampledLoop::new(closed_loop(0.35, speed, 0.0), timing).unwrap();
         least_point_distance(&sampled, &[0.0], distances)
             .unwrap()
             .unwrap()
@@ -387,8 +398,14 @@ fn the_least_p_grows_with_the_speed_and_the_delay() {
 
 #[test]
 fn an_invalid_servo_is_rejected_by_name() {
-    let sampled = SampledLoop::new(closed_loop(0.35, 1.0, 0.0), 0.01, 0.01).unwrap();
-    let error = |servo| sampled.with_servo(servo).unwrap_err().to_string();
+    let error = |servo| {
+        let timing = Timing {
+            servo: Some(servo),
+            ..Timing::new(0.01, 0.01)
+        };
+        let refused = SampledLoop::new(closed_loop(0.35, 1.0, 0.0), timing);
+        refused.unwrap_err().to_string()
+    };
     assert!(error(Servo { lag: 0.0, ..SERVO }).contains("lag of the servo"));
     let negative = Servo {
         dead_time: -1.0,

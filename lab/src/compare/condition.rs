@@ -1,61 +1,57 @@
 //! What is different from a calibrated car with good cameras.
 
-use clap::ValueEnum;
+use clap::{ValueEnum, builder::PossibleValue};
 use singletrack_control::{VehicleParameters, words};
 use singletrack_sim::SimulationConfig;
 
 words! {
     /// A condition of the comparison.
-    #[derive(ValueEnum)]
     pub enum Condition: serde {
         /// The car is as it is believed to be.
         Nominal = "nominal",
         /// The true tyres have half the cornering stiffness.
-        #[value(name = "tyres-50%")]
         SoftTyres = "tyres-50%",
         /// The true tyres have 1.5 times the cornering stiffness.
-        #[value(name = "tyres+50%")]
         StiffTyres = "tyres+50%",
         /// The front axle is believed to be at the centre of mass: dl = `-l_f`.
-        #[value(name = "axle-lf")]
         AxleLeast = "axle-lf",
         /// The distance of the front axle from the centre of mass is believed to be 50 mm less.
-        #[value(name = "axle-50mm")]
         AxleLess = "axle-50mm",
         /// The distance of the front axle from the centre of mass is believed to be 50 mm more.
-        #[value(name = "axle+50mm")]
         AxleMore = "axle+50mm",
         /// The rear axle is believed to be at the centre of mass: dl = `l_r`.
-        #[value(name = "axle+lr")]
         AxleMost = "axle+lr",
         /// The wheels turn 20 % less than commanded.
-        #[value(name = "gain-20%")]
         WeakSteering = "gain-20%",
         /// The true trim of the steering is 3 degrees off.
-        #[value(name = "trim-3deg")]
         WrongTrim = "trim-3deg",
         /// The poses are 20 ms older than their stamps.
-        #[value(name = "stamps-20ms")]
         LateStamps = "stamps-20ms",
         /// The cameras see nothing for 50 ms, a second after the counting begins.
-        #[value(name = "loss-50ms")]
         Loss50 = "loss-50ms",
         /// The same for 100 ms.
-        #[value(name = "loss-100ms")]
         Loss100 = "loss-100ms",
         /// The same for 200 ms.
-        #[value(name = "loss-200ms")]
         Loss200 = "loss-200ms",
         /// The same for 500 ms.
-        #[value(name = "loss-500ms")]
         Loss500 = "loss-500ms",
         /// The same for a second.
-        #[value(name = "loss-1000ms")]
         Loss1000 = "loss-1000ms",
         /// The paper's equations in place of the simulated car: no lag, noise, limits or estimator.
         IdealPlant = "ideal-plant",
         /// The search for the least added delay that diverges, in a table of its own.
         AddedDelay = "added-delay",
+    }
+}
+
+impl ValueEnum for Condition {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let help = self.documentation().trim().trim_end_matches('.');
+        Some(PossibleValue::new(self.name()).help(help))
     }
 }
 

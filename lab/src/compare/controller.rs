@@ -102,11 +102,18 @@ impl Serialize for Controller {
 impl<'de> Deserialize<'de> for Controller {
     fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
         let name = String::deserialize(source)?;
-        let known = ControllerName::named(&name).map(Self::Known);
-        let own = || own_loops().iter().find(|kind| kind.name == name);
-        known
-            .or_else(|| Some(Self::Own(own()?.name)))
-            .ok_or_else(|| D::Error::custom(format!("this program has no controller {name}")))
+        let of_program = Self::Known(ControllerName::Yours);
+        let mut all = Self::value_variants().iter().chain([&of_program]);
+        all.find(|one| one.name() == name).copied().ok_or_else(|| {
+            let known: Vec<&str> = Self::value_variants()
+                .iter()
+                .map(|one| one.name())
+                .collect();
+            D::Error::custom(format!(
+                "a controller is {name:?}: use {}",
+                known.join(" or ")
+            ))
+        })
     }
 }
 

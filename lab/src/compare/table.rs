@@ -9,7 +9,6 @@ use super::{
     condition::{Condition, WORST},
     controller::ControllerName,
     counted::{DriveResult, Effort, Errors},
-    course::PathName,
     drive::{DIVERGED, LONGEST_DELAY_MS},
     plan::{Comparison, Row},
 };
@@ -127,29 +126,24 @@ pub fn lines_with(plan: &Comparison, results: &[(u64, DriveResult)], yours: &str
 
 /// Gives every line its place among those of its case.
 fn rank(lines: &mut [Line]) {
+    let case = |line: &Line| {
+        let Row {
+            path, speed_m_s, ..
+        } = line.row;
+        (path.name(), speed_m_s.to_bits(), line.condition())
+    };
     let mut order: Vec<usize> = (0..lines.len()).collect();
-    // The lines of a case side by side, the best first; they stay in the order of the cases.
-    let mut cases: Vec<(PathName, f64, String)> = Vec::new();
-    let numbers: Vec<usize> = lines
-        .iter()
-        .map(|line| {
-            let case = (line.row.path, line.row.speed_m_s, line.condition());
-            let known = cases.iter().position(|other| *other == case);
-            known.unwrap_or_else(|| {
-                cases.push(case);
-                cases.len() - 1
-            })
-        })
-        .collect();
     order.sort_by(|&a, &b| {
-        let case = numbers[a].cmp(&numbers[b]);
-        case.then(lines[a].stops.cmp(&lines[b].stops))
-            .then(lines[a].rms().total_cmp(&lines[b].rms()))
+        let [a, b] = [a, b].map(|index| &lines[index]);
+        let by_case = case(a).cmp(&case(b)).then(a.stops.cmp(&b.stops));
+        by_case.then(a.rms().total_cmp(&b.rms()))
     });
-    for case in order.chunk_by(|&a, &b| numbers[a] == numbers[b]) {
+    let is_same_case = |&a: &usize, &b: &usize| case(&lines[a]) == case(&lines[b]);
+    let cases: Vec<&[usize]> = order.chunk_by(is_same_case).collect();
+    for of_case in cases {
         let mut head = None;
         let mut place = 0;
-        for (index, &line) in case.iter().enumerate() {
+        for (index, &line) in of_case.iter().enumerate() {
             if !lines[line].is_told() {
                 continue;
             }

@@ -3,7 +3,6 @@
 mod collect;
 mod figures;
 mod output;
-pub mod study;
 
 use std::{
     fs,
@@ -19,7 +18,7 @@ use singletrack_control::SlipAngles;
 use singletrack_core::Config;
 use singletrack_figures::output::{WriteError, make_folder, write as write_file};
 
-use crate::{Result, print, vehicle_file};
+use crate::{Format, Result, print, vehicle_file};
 
 use collect::Drives;
 pub use collect::{Collector, RecordedDrive, read};
@@ -81,8 +80,8 @@ pub struct IdentifyArgs {
     pub out: Option<PathBuf>,
 
     /// How to print the result.
-    #[arg(long, value_enum, default_value_t = IdentifyFormat::Table)]
-    pub format: IdentifyFormat,
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    pub format: Format,
 
     /// Whether the nominal car is validated on the same drives.
     #[arg(skip)]
@@ -128,15 +127,6 @@ impl SlipAngleKind {
     }
 }
 
-/// How to print the result.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum IdentifyFormat {
-    /// For a person.
-    Table,
-    /// For a program, every digit.
-    Json,
-}
-
 /// Identifies, prints and writes the result. Progress and warnings go to standard
 /// error.
 ///
@@ -165,8 +155,8 @@ pub fn run(args: &IdentifyArgs) -> Result {
         print_note(&format!("warning: not validated: {error}"));
     }
     let text = match args.format {
-        IdentifyFormat::Json => output::json(&report),
-        _ => output::table(&report),
+        Format::Table => output::table(&report),
+        Format::Json => output::json(&report),
     };
     print(&text)?;
     if let Some(folder) = &args.out {

@@ -14,13 +14,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use singletrack::progress::progress_bar;
 use singletrack_core::Config;
 use singletrack_figures::figure::Figure;
 use singletrack_record::Reader;
 
-use crate::{Result, print};
+use crate::{Format, Result, print};
 
 pub use bends::Bends;
 pub use run::Stop;
@@ -71,21 +71,12 @@ pub struct JudgeArgs {
     pub cameras_hz: Option<f64>,
 
     /// How to print the verdict.
-    #[arg(long, value_enum, default_value_t = Format::Text)]
+    #[arg(long, value_enum, default_value_t = Format::Table)]
     pub format: Format,
 
     /// Where the page of figures goes [default: RECORD.judge.svg].
     #[arg(long, value_name = "FILE.svg")]
     pub figure: Option<PathBuf>,
-}
-
-/// How to print the verdict.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
-    /// For a person.
-    Text,
-    /// One JSON object.
-    Json,
 }
 
 /// Judges a part of a record with the configuration of a car. `progress` is told the tick, and how many
@@ -162,7 +153,7 @@ pub fn run(args: &JudgeArgs) -> Result {
         format!("can't write {path}: {error}; choose another --figure")
     })?;
     let told = match args.format {
-        Format::Text => text(&verdict, &args.record, &path),
+        Format::Table => text(&verdict, &args.record, &path),
         Format::Json => serde_json::to_string(&verdict)? + "\n",
     };
     print(&told)

@@ -21,38 +21,6 @@ const WINDOW: f64 = 0.5;
 /// The share of a normal distribution's 95 %, in standard deviations.
 const WITHIN_95: f64 = 1.96;
 
-/// The errors of the estimate while the car moves.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Errors {
-    pub(super) speed: RootMeanSquare,
-    pub(super) yaw_rate: RootMeanSquare,
-    pub(super) sideslip: RootMeanSquare,
-    /// What the cameras say of the sideslip itself.
-    pub(super) true_sideslip: RootMeanSquare,
-    compared: u32,
-    within: u32,
-}
-
-impl Errors {
-    pub(super) fn of(compared: &[Compared]) -> Self {
-        let mut errors = Self::default();
-        for one in compared.iter().filter(|one| one.is_fast()) {
-            errors.speed.add(one.speed - one.truth.speed());
-            errors.yaw_rate.add(one.yaw_rate - one.truth.yaw_rate);
-            errors.sideslip.add(one.sideslip_error());
-            errors.true_sideslip.add(one.truth.sideslip());
-            errors.compared += 1;
-            errors.within += u32::from(one.sideslip_error().abs() <= WITHIN_95 * one.deviation);
-        }
-        errors
-    }
-
-    /// The share of sideslips inside the stated 95 %; none without a moving car.
-    pub(super) fn within_95(&self) -> Option<f64> {
-        (self.compared > 0).then(|| f64::from(self.within) / f64::from(self.compared))
-    }
-}
-
 /// The noise of a sensor, as measured against the cameras and as configured.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub struct Noise {
@@ -306,7 +274,14 @@ impl Verdict {
             adopted += usize::from(is_adopted && !was_adopted);
             was_adopted = is_adopted;
         }
-        let errors = Errors::of(&run.compared);
+        let fast: Vec<&Compared> = run.compared.iter().filter(|one| one.is_fast()).collect();
+        let rms = |error: fn(&Compared) -> f64| {
+            RootMeanSquare::of(fast.iter().map(|one| error(one))).value()
+        };
+        let within = fast
+            .iter()
+            .filter(|one| one.sideslip_error().abs() <= WITHIN_95 * one.deviation);
+        let within_95 = within.count() as f64 / fast.len() as f64;
         let readings = readings(log, run);
         let (sensors, findings) =
             sensors::compare(&run.track, &readings, config.wheelbase, Source::Log);
@@ -327,11 +302,11 @@ impl Verdict {
             watched_from_s: run.watched_from,
             stops: run.stops.clone(),
             speed_max_m_s: run.speed_max,
-            speed_rms_m_s: errors.speed.value(),
-            yaw_rate_rms_rad_s: errors.yaw_rate.value(),
-            sideslip_rms_rad: errors.sideslip.value(),
-            true_sideslip_rms_rad: errors.true_sideslip.value(),
-            sideslip_within_95: errors.within_95(),
+            speed_rms_m_s: rms(|one| one.speed - one.truth.speed()),
+            yaw_rate_rms_rad_s: rms(|one| one.yaw_rate - one.truth.yaw_rate),
+            sideslip_rms_rad: rms(Compared::sideslip_error),
+            true_sideslip_rms_rad: rms(|one| one.truth.sideslip()),
+            sideslip_within_95: (!fast.is_empty()).then_some(within_95),
             gyro_scale: run.gyro_scale,
             noise: noise(&run.track, &run.samples, config),
             sensors,

@@ -3,7 +3,7 @@
 
 use libm::{atan, atan2, cos, hypot, sin, tan};
 use nalgebra::Rotation2;
-use singletrack_analysis::stability::{Belief, ClosedLoop, Law, SampledLoop};
+use singletrack_analysis::stability::{Belief, ClosedLoop, Law, SampledLoop, Timing};
 use singletrack_control::{
     FrontPointLaw, Motion, SingleTrack, SingleTrackState, Singularity, SlipAngles,
     VehicleParameters, Velocity, direction,
@@ -256,8 +256,14 @@ pub(super) fn with_position_loop(setup: &Setup, [from, to]: [f64; 2]) -> Option<
             )
             .ok()?
             .believing(Belief::CentreOfMass);
-            let alone = SampledLoop::new(closed_loop, 1e-3, 0.0).ok()?;
-            let looped = alone.with_position_gain(GAIN).ok()?;
+            let with_gain = |position_gain| {
+                let timing = Timing {
+                    position_gain,
+                    ..Timing::new(1e-3, 0.0)
+                };
+                SampledLoop::new(closed_loop, timing).ok()
+            };
+            let (alone, looped) = (with_gain(0.0)?, with_gain(GAIN)?);
             for (count, counts_here) in counts.iter_mut().zip([
                 !looped.is_stable(),
                 !alone.is_stable(),

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use singletrack_analysis::stability::{
     Ages, Belief, ClosedLoop, Compensation, Law, SampledLoop, SamplingError, Saturation, Servo,
+    Timing,
 };
 
 use super::subject::{Format, Grid, Subject};
@@ -215,6 +216,7 @@ impl TimingArgs {
     /// An invalid time or gain.
     pub fn around(&self, closed_loop: ClosedLoop) -> Result<SampledLoop, SamplingError> {
         let dead_time = self.steering_dead_time_ms * 1e-3;
+        let lag = self.steering_lag_ms * 1e-3;
         let has_servo = self.steering_lag_ms != 0.0;
         if (self.predict || self.compensate) && !has_servo {
             return Err(SamplingError {
@@ -224,32 +226,31 @@ impl TimingArgs {
             });
         }
         let delay = self.delay_ms * 1e-3 + if has_servo { 0.0 } else { dead_time };
-        let mut sampled = SampledLoop::new(closed_loop, self.period_ms * 1e-3, delay)?
-            .with_marker_interval(self.marker_interval)
-            .with_predicted_pose(self.predicted_ticks)
-            .with_servo_frame(self.servo_frame)
-            .with_position_gain(self.position_gain)?
-            .with_ages(Ages {
+        let modelled = Servo {
+            lag,
+            dead_time: self.modelled_dead_time_ms * 1e-3,
+        };
+        let vehicle = closed_loop.vehicle();
+        let mut timing = Timing {
+            marker_interval: self.marker_interval,
+            predicted_pose: self.predicted_ticks,
+            position_gain: self.position_gain,
+            servo: has_servo.then_some(Servo { lag, dead_time }),
+            servo_frame: self.servo_frame,
+            ages: Ages {
                 yaw_rate: self.yaw_rate_age_ms * 1e-3,
                 sideslip: self.sideslip_age_ms * 1e-3,
-            })?;
-        if has_servo {
-            let lag = self.steering_lag_ms * 1e-3;
-            sampled = sampled.with_servo(Servo { lag, dead_time })?;
-            if self.compensate {
-                return sampled.with_compensation(Compensation {
-                    servo: Servo {
-                        lag,
-                        dead_time: self.modelled_dead_time_ms * 1e-3,
-                    },
-                    vehicle: closed_loop.vehicle(),
-                });
-            }
+            },
+            compensation: self.compensate.then_some(Compensation {
+                servo: modelled,
+                vehicle,
+            }),
+            ..Timing::new(self.period_ms * 1e-3, delay)
+        };
+        if self.predict {
+            timing.prediction = timing.exact_prediction(vehicle);
         }
-        match sampled.exact_prediction() {
-            Some(prediction) if self.predict => sampled.with_prediction(prediction),
-            _ => Ok(sampled),
-        }
+        SampledLoop::new(closed_loop, timing)
     }
 }
 

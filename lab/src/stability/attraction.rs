@@ -3,16 +3,13 @@
 use std::{fs, path::PathBuf, time::Instant};
 
 use clap::Args;
-use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::Attraction;
 use singletrack_campaign::{run_shown, thread_count};
-use singletrack_figures::output::print;
 
 use super::{
-    arguments::{DrawnFormat, LoopArgs, SaturationArgs},
-    figures,
-    subject::{Grid, Subject, write_json},
+    arguments::{LoopArgs, SaturationArgs},
+    subject::{Format, Grid, Subject, write},
 };
 use crate::{Result, table::Table};
 
@@ -43,74 +40,47 @@ pub(super) struct AttractionArgs {
     #[arg(long, value_name = "FILE")]
     certificates: Option<PathBuf>,
     /// How to write it
-    #[arg(long, value_enum, default_value_t = DrawnFormat::Csv)]
-    format: DrawnFormat,
-}
-
-/// The region of attraction and the basin at a speed.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub(super) struct AttractionRow {
-    pub(super) speed_m_s: f64,
-    /// The level of the quadratic form; zero if none is proved.
-    level: f64,
-    /// From all smaller yaw errors the straight motion is proved to be regained.
-    pub(super) proved_yaw_rad: f64,
-    /// From all smaller yaw errors it is regained in simulation.
-    pub(super) simulated_yaw_rad: f64,
-    /// The boxes of the proof, and the time to find and prove it.
-    boxes: u32,
-    time_s: f64,
+    #[arg(long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
 }
 
 pub(super) fn run(args: &AttractionArgs) -> Result {
     let subject = args.subject.subject()?;
-    let of_speed = |speed_m_s: f64| -> Result<_> {
+    // A row, and the certificate of a region that is proved. Without one the level is zero.
+    let of_speed = |speed: f64| -> Result<(Value, Option<Value>)> {
         let begin = Instant::now();
-        let at = subject.at(speed_m_s, args.dl)?;
+        let at = subject.at(speed, args.dl)?;
         let at = at.saturating(args.saturation.saturation())?;
         let region = at.attraction(args.most_yaw)?;
-        let row = AttractionRow {
-            speed_m_s,
-            level: region.map_or(0.0, |region| region.level),
-            proved_yaw_rad: region.map_or(0.0, |region| region.yaw()),
-            simulated_yaw_rad: at.basin(None)?.yaw,
-            boxes: region.map_or(0, |region| region.boxes),
-            time_s: begin.elapsed().as_secs_f64(),
-        };
-        Ok((row, region))
+        let row = json!({
+            "speed_m_s": speed,
+            "level": region.map_or(0.0, |region| region.level),
+            "proved_yaw_rad": region.map_or(0.0, |region| region.yaw()),
+            "simulated_yaw_rad": at.basin(None)?.yaw,
+            "boxes": region.map_or(0, |region| region.boxes),
+            "time_s": begin.elapsed().as_secs_f64(),
+        });
+        let proof = region.map(|region| certificate(args, &subject, speed, &region));
+        Ok((row, proof))
     };
     let speeds = args.speeds.values();
     let units: Vec<u64> = (0..speeds.len() as u64).collect();
     let work = |unit: u64| of_speed(speeds[unit as usize]);
     let found = run_shown("attraction", &units, thread_count(), work)?;
-    let found: Vec<_> = found.into_iter().map(|(_, found)| found).collect();
+    let (rows, proofs): (Vec<Value>, Vec<Option<Value>>) =
+        found.into_iter().map(|(_, found)| found).unzip();
     if let Some(path) = &args.certificates {
-        let proofs: Vec<Value> = found
-            .iter()
-            .filter_map(|(row, region)| Some(certificate(args, &subject, row, region.as_ref()?)))
-            .collect();
+        let proofs: Vec<Value> = proofs.into_iter().flatten().collect();
         let text = format!("{:#}\n", json!({ "certificates": proofs }));
         fs::write(path, text)?;
     }
-    let rows: Vec<AttractionRow> = found.iter().map(|(row, _)| *row).collect();
-    match args.format {
-        DrawnFormat::Csv => {
-            let header = "speed_m_s,level,proved_yaw_rad,simulated_yaw_rad,boxes,time_s";
-            print(&Table::of(header, &rows).to_csv())?;
-        }
-        DrawnFormat::Json => write_json(&subject, &rows)?,
-        DrawnFormat::Svg => print(&figures::attraction(&rows).to_svg())?,
-    }
-    Ok(())
+    let header = "speed_m_s,level,proved_yaw_rad,simulated_yaw_rad,boxes,time_s";
+    let table = Table::of(header, &rows);
+    Ok(write(args.format, &subject, &table, &rows)?)
 }
 
 /// All that a program needs which derives the loop for itself, and checks that x'Px falls.
-fn certificate(
-    args: &AttractionArgs,
-    subject: &Subject,
-    row: &AttractionRow,
-    region: &Attraction,
-) -> Value {
+fn certificate(args: &AttractionArgs, subject: &Subject, speed: f64, region: &Attraction) -> Value {
     let saturation = args.saturation.saturation();
     let limit = |limit: f64| limit.is_finite().then_some(limit);
     let rows: Vec<Vec<f64>> = (region.form.row_iter())
@@ -120,7 +90,7 @@ fn certificate(
         "law": subject.law.name(),
         "vehicle": subject.vehicle,
         "point_distance_m": subject.point_distance,
-        "speed_m_s": row.speed_m_s,
+        "speed_m_s": speed,
         "dl_m": args.dl,
         "tyres": saturation.tyres.name(),
         "slip_angles": saturation.slip_angles,

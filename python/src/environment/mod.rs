@@ -14,7 +14,7 @@ use singletrack_control::Start;
 use singletrack_core::Config;
 use singletrack_scenario::laboratory::{Setup, SetupError, TruthRange, reference};
 
-use self::task::{Autoreset, Control, INFORMATION, Instance, Lap, Reward, Task, state};
+use self::task::{Autoreset, Control, INFORMATION, Instance, Lap, Options, Reward, Task, state};
 use crate::setup::{choice, refuse};
 
 /// Places of the picture of a reference.
@@ -101,85 +101,49 @@ type Last<'py> = (usize, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f32>>);
 #[pymethods]
 impl Batch {
     #[new]
-    #[pyo3(signature = (num_envs, *, whole_system, reference_toml, configuration, truth, randomise,
-        reward, control, autoreset, periods, max_steps, preview, lost_m, start_error, threads))]
-    #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
-    fn new(
-        num_envs: usize,
-        whole_system: bool,
-        reference_toml: &str,
-        configuration: &str,
-        truth: &str,
-        randomise: Vec<(String, f64, f64)>,
-        reward: &str,
-        control: &str,
-        autoreset: &str,
-        periods: u32,
-        max_steps: u32,
-        preview: Vec<f64>,
-        lost_m: f64,
-        start_error: [f64; 2],
-        threads: usize,
-    ) -> PyResult<Self> {
-        let section = reference(reference_toml).map_err(refuse)?;
+    fn new(num_envs: usize, options: Options) -> PyResult<Self> {
+        let section = reference(&options.reference_toml).map_err(refuse)?;
         let wanted = section.reference().map_err(refuse)?;
         let start = section.start();
-        let setup = Setup::new(section, configuration, truth).map_err(refuse)?;
+        let setup = Setup::new(section, &options.configuration, &options.truth).map_err(refuse)?;
         if wanted.at(0.0).position.is_none() {
             return Err(refuse("the reference must have positions"));
         }
-        let randomise = randomise
-            .into_iter()
-            .map(range)
-            .collect::<PyResult<Vec<_>>>()?;
+        let randomise = options.randomise.iter().map(range);
+        let randomise = randomise.collect::<PyResult<Vec<_>>>()?;
         let lap = Lap::new(&wanted);
-        let reward = choice(
-            "reward",
-            reward,
-            &[
-                ("tracking", Reward::Tracking),
-                ("progress", Reward::Progress),
-            ],
-        )?;
+        let rewards = [
+            ("tracking", Reward::Tracking),
+            ("progress", Reward::Progress),
+        ];
+        let reward = choice("reward", &options.reward, &rewards)?;
         if reward == Reward::Progress && lap.is_none() {
             return Err(refuse(
                 "the reward \"progress\" needs a circle, a path or waypoints",
             ));
         }
-        let control = choice(
-            "control_input",
-            control,
-            &[
-                ("steering_angle, speed", Control::SteeringSpeed),
-                ("speed, steering_angle", Control::SpeedSteering),
-                ("point_velocity", Control::PointVelocity),
-            ],
-        )?;
-        let autoreset = choice(
-            "autoreset",
-            autoreset,
-            &[
-                ("next_step", Autoreset::NextStep),
-                ("same_step", Autoreset::SameStep),
-                ("disabled", Autoreset::Disabled),
-            ],
-        )?;
+        let controls = [
+            ("steering_angle, speed", Control::SteeringSpeed),
+            ("speed, steering_angle", Control::SpeedSteering),
+            ("point_velocity", Control::PointVelocity),
+        ];
+        let autoresets = [
+            ("next_step", Autoreset::NextStep),
+            ("same_step", Autoreset::SameStep),
+            ("disabled", Autoreset::Disabled),
+        ];
+        let threads = options.threads;
         let task = Task {
-            whole_system,
             // The progress along a lap is measured wherever a drive begins.
             nearest: reward == Reward::Tracking && start == Start::Nearest,
             lap,
             reward,
-            control,
-            autoreset,
+            control: choice("control_input", &options.control, &controls)?,
+            autoreset: choice("autoreset", &options.autoreset, &autoresets)?,
             reference: wanted,
-            periods: periods.max(1),
-            max_steps: max_steps.max(1),
-            preview,
-            lost_m,
-            start_error,
             randomise,
             setup,
+            options,
         };
         task.check().map_err(refuse)?;
         let columns = task.columns();
@@ -408,7 +372,7 @@ impl Batch {
 }
 
 /// A range of the randomisation, checked.
-fn range((name, low, high): (String, f64, f64)) -> PyResult<TruthRange> {
+fn range((name, low, high): &(String, f64, f64)) -> PyResult<TruthRange> {
     let (section, key) = name
         .split_once('.')
         .ok_or_else(|| refuse(format!("randomise: write {name:?} as section.key")))?;
@@ -420,7 +384,7 @@ fn range((name, low, high): (String, f64, f64)) -> PyResult<TruthRange> {
     Ok(TruthRange {
         section: section.to_owned(),
         key: key.to_owned(),
-        low,
-        high,
+        low: *low,
+        high: *high,
     })
 }

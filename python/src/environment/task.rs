@@ -3,14 +3,16 @@
 
 use std::f64::consts::TAU;
 
+use pyo3::FromPyObject;
 use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng, SeedableRng},
 };
 use singletrack_control::{Position, Reference, ReferencePoint, Start, front_point};
 use singletrack_scenario::laboratory::{Setup, SetupError, TruthRange};
+use singletrack_sim::Truth;
 
-use crate::vehicle::{Command, Plant, Seen, System, Vehicle};
+use crate::vehicle::{Command, Plant, System, Vehicle};
 
 /// Columns of the state.
 const STATE: usize = 7;
@@ -46,17 +48,19 @@ pub(super) enum Autoreset {
     Disabled,
 }
 
-/// What all cars have in common.
-pub(super) struct Task {
-    pub(super) setup: Setup,
+/// What Python asks for.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(super) struct Options {
     pub(super) whole_system: bool,
-    pub(super) reference: Reference,
-    /// Whether an episode begins at the nearest place of the reference.
-    pub(super) nearest: bool,
-    pub(super) lap: Option<Lap>,
-    pub(super) reward: Reward,
-    pub(super) control: Control,
-    pub(super) autoreset: Autoreset,
+    pub(super) reference_toml: String,
+    pub(super) configuration: String,
+    pub(super) truth: String,
+    /// Keys of the truth with their ranges.
+    pub(super) randomise: Vec<(String, f64, f64)>,
+    pub(super) reward: String,
+    pub(super) control: String,
+    pub(super) autoreset: String,
     /// Control periods in a step.
     pub(super) periods: u32,
     pub(super) max_steps: u32,
@@ -66,6 +70,20 @@ pub(super) struct Task {
     pub(super) lost_m: f64,
     /// Largest errors of the start, in m and rad.
     pub(super) start_error: [f64; 2],
+    pub(super) threads: usize,
+}
+
+/// What all cars have in common.
+pub(super) struct Task {
+    pub(super) options: Options,
+    pub(super) setup: Setup,
+    pub(super) reference: Reference,
+    /// Whether an episode begins at the nearest place of the reference.
+    pub(super) nearest: bool,
+    pub(super) lap: Option<Lap>,
+    pub(super) reward: Reward,
+    pub(super) control: Control,
+    pub(super) autoreset: Autoreset,
     pub(super) randomise: Vec<TruthRange>,
 }
 
@@ -83,7 +101,7 @@ pub(super) struct Instance {
 }
 
 /// The result of a step.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Outcome {
     pub(super) state: [f64; STATE],
     pub(super) observation: Vec<f32>,
@@ -109,33 +127,27 @@ impl Instance {
             place: 0,
             ended: false,
             outcome: Outcome {
-                state: [0.0; STATE],
                 observation: vec![0.0; columns],
-                reward: 0.0,
-                terminated: false,
-                truncated: false,
-                information: [0.0; INFORMATION],
-                reason: "",
-                last: None,
+                ..Outcome::default()
             },
         }
     }
 
     /// The state as it is seen.
-    pub(super) fn seen(&self) -> Seen {
+    pub(super) fn seen(&self) -> Truth {
         let vehicle = self.vehicle.as_ref();
         vehicle.map(Vehicle::seen).unwrap_or_default()
     }
 
     /// The ground truth.
-    pub(super) fn truth(&self) -> Seen {
+    pub(super) fn truth(&self) -> Truth {
         let vehicle = self.vehicle.as_ref();
         vehicle.map(Vehicle::truth).unwrap_or_default()
     }
 }
 
 /// The columns of a state.
-pub(super) fn state(seen: &Seen) -> [f64; STATE] {
+pub(super) fn state(seen: &Truth) -> [f64; STATE] {
     [
         seen.x,
         seen.y,
@@ -167,10 +179,10 @@ impl Task {
     }
 
     pub(super) fn columns(&self) -> usize {
-        HEAD + PREVIEW * self.preview.len()
+        HEAD + PREVIEW * self.options.preview.len()
     }
 
-    pub(super) fn point(&self, seen: &Seen) -> Position {
+    pub(super) fn point(&self, seen: &Truth) -> Position {
         let law = &self.setup.config.law;
         front_point(
             Position::new(seen.x, seen.y),
@@ -185,7 +197,7 @@ impl Task {
     pub(super) fn time(&self, instance: &Instance) -> f64 {
         match (&self.lap, self.reward) {
             (Some(lap), Reward::Progress) => lap.time(instance.place),
-            _ => f64::from(instance.steps) * f64::from(self.periods) * 0.01,
+            _ => f64::from(instance.steps) * f64::from(self.options.periods) * 0.01,
         }
     }
 
@@ -203,7 +215,7 @@ impl Task {
         let way = soon.position.unwrap_or_default() - begin;
         let course = if way.norm() > 0.0 { way } else { at.velocity };
         let mut draw = |most: f64| most * (2.0 * uniform(&mut instance.generator) - 1.0);
-        let [position_error, yaw_error] = self.start_error;
+        let [position_error, yaw_error] = self.options.start_error;
         let point = [
             begin.x + draw(position_error),
             begin.y + draw(position_error),
@@ -214,7 +226,7 @@ impl Task {
         let simulation = self
             .setup
             .simulation(seed, self.setup.start(point, yaw), &drawn)?;
-        instance.vehicle = Some(if self.whole_system {
+        instance.vehicle = Some(if self.options.whole_system {
             Vehicle::System(Box::new(System::new(&self.setup, simulation, seed)?))
         } else {
             Vehicle::Plant(Box::new(Plant::new(&self.setup, &simulation)?))
@@ -275,7 +287,7 @@ impl Task {
                 "reset the environment before the first step",
             ));
         };
-        let drives = (0..self.periods).all(|_| vehicle.step(command));
+        let drives = (0..self.options.periods).all(|_| vehicle.step(command));
         let reason = vehicle.reason();
         let truth = vehicle.truth();
         instance.steps += 1;
@@ -304,7 +316,7 @@ impl Task {
         let reward = match self.reward {
             Reward::Tracking => libm::exp(-distance / 0.1) - effort,
             Reward::Progress => {
-                let step = f64::from(self.periods) * 0.01;
+                let step = f64::from(self.options.periods) * 0.01;
                 progress / (step * limits.max_speed_m_s) - distance - effort
             }
         };
@@ -312,8 +324,9 @@ impl Task {
         instance.action = action;
         self.observe(instance);
         let outcome = &mut instance.outcome;
-        outcome.terminated = !drives || distance > self.lost_m;
-        outcome.truncated = !outcome.terminated && (instance.steps >= self.max_steps || ended_way);
+        outcome.terminated = !drives || distance > self.options.lost_m;
+        outcome.truncated =
+            !outcome.terminated && (instance.steps >= self.options.max_steps || ended_way);
         outcome.reward = if outcome.terminated { -10.0 } else { reward };
         outcome.information = [distance, progress, truth.speed];
         outcome.reason = if drives && outcome.terminated {
@@ -356,7 +369,7 @@ impl Task {
             instance.action[1],
         ];
         columns.extend(head.map(|value| value as f32));
-        for ahead in &self.preview {
+        for ahead in &self.options.preview {
             let wanted = reference.at(time + ahead);
             let way = wanted.position.unwrap_or(point) - point;
             let velocity = wanted.velocity;

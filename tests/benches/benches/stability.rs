@@ -4,7 +4,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, Law, MarginLimits, SampledLoop, hopf_points,
+    Belief, ClosedLoop, Law, MarginLimits, SampledLoop, Timing, hopf_points,
 };
 use singletrack_control::VehicleParameters;
 
@@ -43,7 +43,11 @@ fn hopf_curve(law: Law) -> f64 {
 }
 
 fn margins() -> Option<f64> {
-    let sampled = SampledLoop::new(closed_loop(Law::FrontPoint, 2.0, 0.0)?, 0.01, 0.01).ok()?;
+    let sampled = SampledLoop::new(
+        closed_loop(Law::FrontPoint, 2.0, 0.0)?,
+        Timing::new(0.01, 0.01),
+    )
+    .ok()?;
     let limits = MarginLimits::default();
     Some(sampled.delay_margin(limits)? + sampled.longest_constant_interval(limits)?)
 }

@@ -41,5 +41,5 @@ pub use lyapunov::Lyapunov;
 pub use one_length::OneLength;
 pub use sampled::{
     Ages, Compensation, IrregularLimits, LyapunovFunction, MarginLimits, Prediction, RandomLosses,
-    SampledLoop, SamplingError, Servo, Switched, UnstablePattern,
+    SampledLoop, SamplingError, Servo, Switched, Timing, UnstablePattern,
 };

@@ -1,15 +1,17 @@
 //! `singletrack stability figures`: the figures of a car under a law, as files.
 
 use std::{
-    fs,
     io::{self, Write as _},
-    path::{Path, PathBuf},
+    path::PathBuf,
 };
 
 use clap::{Args, ValueEnum};
-use singletrack_figures::figure::Figure;
+use singletrack_figures::{
+    figure::Figure,
+    output::{make_folder, write},
+};
 
-use super::{Scene, around_meaningful, drawn_deviations, eigenvalue, eigenvalues, region, sampled};
+use super::{Scene, around_meaningful, drawn_deviations, eigenvalues, region, sampled};
 use crate::{
     Result,
     stability::{
@@ -73,21 +75,17 @@ const SAMPLED_DEVIATIONS: usize = 91;
 /// Draws the figures and names the files.
 pub(in crate::stability) fn run(args: &FiguresArgs) -> Result {
     let subject = args.subject.subject()?;
-    fs::create_dir_all(&args.out).map_err(|error| cannot_write(&args.out, &error))?;
+    make_folder(&args.out)?;
     for (name, figure) in figures(&subject, args)? {
         let path = args.out.join(format!("{name}.svg"));
-        fs::write(&path, figure.to_svg()).map_err(|error| cannot_write(&path, &error))?;
+        write(&path, &figure.to_svg())?;
         writeln!(io::stdout(), "{}", path.display())?;
     }
     Ok(())
 }
 
-fn cannot_write(path: &Path, error: &io::Error) -> io::Error {
-    io::Error::new(error.kind(), format!("{}: {error}", path.display()))
-}
-
 /// The figures that are asked for, with their names.
-fn figures(subject: &Subject, args: &FiguresArgs) -> Result<Vec<(String, Figure)>> {
+fn figures(subject: &Subject, args: &FiguresArgs) -> Result<Vec<(&'static str, Figure)>> {
     let speeds = &args.points.speeds;
     let deviations = args
         .points
@@ -97,16 +95,11 @@ fn figures(subject: &Subject, args: &FiguresArgs) -> Result<Vec<(String, Figure)
     let mut figures = Vec::new();
     if wants(Kind::Region) {
         let rows = stable_region(subject, speeds, &deviations)?;
-        figures.push(("region".to_owned(), region(&scene, &rows)?));
+        figures.push(("region", region(&scene, &rows)?));
     }
     if wants(Kind::Eigenvalues) {
         let map = eigenvalue_map(subject, speeds, &deviations)?;
-        figures.push(("eigenvalues".to_owned(), eigenvalues(&scene, &map)?));
-        let count = map.first().map_or(0, |row| row.eigenvalues.len());
-        for number in 1..=count {
-            let figure = eigenvalue(&scene, number, &map)?;
-            figures.push((format!("eigenvalue-{number}"), figure));
-        }
+        figures.push(("eigenvalues", eigenvalues(&scene, &map)?));
     }
     if wants(Kind::SpectralRadius) || wants(Kind::DelayMargin) || wants(Kind::MarkerInterval) {
         let rows = sampled_rows(subject, args)?;
@@ -117,7 +110,7 @@ fn figures(subject: &Subject, args: &FiguresArgs) -> Result<Vec<(String, Figure)
         ];
         let drawn = kinds.into_iter().zip(sampled(&scene, args.timing, &rows)?);
         let drawn = drawn.filter(|(kind, _)| wants(*kind));
-        figures.extend(drawn.map(|(_, (name, figure))| (name.to_owned(), figure)));
+        figures.extend(drawn.map(|(_, named)| named));
     }
     Ok(figures)
 }

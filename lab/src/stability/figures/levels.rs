@@ -19,12 +19,6 @@ pub(super) fn significant(value: f64) -> String {
     }
 }
 
-pub(super) fn subscript(number: usize) -> String {
-    let digits = number.to_string();
-    let below = digits.bytes().map(|digit| 0x2080 + u32::from(digit - b'0'));
-    below.filter_map(char::from_u32).collect()
-}
-
 /// Lines at 1, 2, 5, 10 and so on between two values.
 pub(super) fn margins(grid: &Grid, [least, limit]: [f64; 2]) -> Vec<Isoline> {
     let mut candidates = sizes();
@@ -129,7 +123,6 @@ mod tests {
         ] {
             assert_eq!(significant(value), text);
         }
-        assert_eq!(subscript(4), "₄");
     }
 
     #[test]

@@ -8,8 +8,8 @@ use singletrack_figures::figure::{
 };
 
 use super::{
-    super::{EigenvalueRow, RegionRow, attraction::AttractionRow, region::BasinRow},
-    levels::{margins, one_two_five, significant, subscript},
+    super::{EigenvalueRow, RegionRow, region::BasinRow},
+    levels::{margins, one_two_five, significant},
     scene::{DEVIATION, Frame, SPEED, Scene, at, band, grid_of},
 };
 
@@ -93,33 +93,6 @@ fn lyapunov_labels(branch: &[HopfPoint], frame: &Frame) -> Vec<Callout> {
     labels
 }
 
-/// The real part of the `number`-th eigenvalue, counted from 1 by ascending real part.
-///
-/// # Errors
-///
-/// Rows that are not a grid: fewer than two speeds or deviations.
-pub fn eigenvalue(
-    scene: &Scene,
-    number: usize,
-    rows: &[EigenvalueRow],
-) -> Result<Figure, GridError> {
-    let real_part = real_part(number, rows)?;
-    let ending = if changes(&real_part) {
-        "Light where it is negative, dark where it is not."
-    } else {
-        "It has the same sign everywhere."
-    };
-    let name = format!("λ{}", subscript(number));
-    Ok(Figure::column(
-        format!("Real part of {name} under {}", scene.law),
-        format!(
-            "Real part of eigenvalue {name} of the linearised dynamics, in 1/s, with lines of \
-             equal value; eigenvalues are numbered by ascending real part. {ending}"
-        ),
-        vec![panel(scene, real_part, 56.0)],
-    ))
-}
-
 /// All eigenvalues in one figure: four in two rows, three in one.
 ///
 /// # Errors
@@ -133,7 +106,7 @@ pub fn eigenvalues(scene: &Scene, rows: &[EigenvalueRow]) -> Result<Figure, Grid
             Ok(Panel {
                 title: format!("Re $λ_{number}$ (1/s)"),
                 begins_row: number % in_a_row == 1,
-                ..panel(scene, real_part(number, rows)?, 50.0)
+                ..panel(scene, real_part(number, rows)?)
             })
         })
         .collect();
@@ -158,20 +131,15 @@ fn real_part(number: usize, rows: &[EigenvalueRow]) -> Result<Grid, GridError> {
     )
 }
 
-fn changes(real_part: &Grid) -> bool {
-    let range = real_part.range();
-    range.is_some_and(|[low, high]| low < 0.0 && high >= 0.0)
-}
-
-fn panel(scene: &Scene, real_part: Grid, height_mm: f64) -> Panel {
+/// A map of the real part, with the Hopf curve where its sign changes.
+fn panel(scene: &Scene, real_part: Grid) -> Panel {
     let frame = Frame::of(&real_part);
-    let curves = if changes(&real_part) {
-        scene.hopf_curves(&frame).collect()
-    } else {
-        Vec::new()
+    let curves = match real_part.range() {
+        Some([low, high]) if low < 0.0 && high >= 0.0 => scene.hopf_curves(&frame).collect(),
+        _ => Vec::new(),
     };
     Panel {
-        height_mm,
+        height_mm: 50.0,
         curves,
         levels: scene.range_ends(),
         map: Some(Map {
@@ -285,30 +253,4 @@ pub(in super::super) fn basin(
             )
         }],
     ))
-}
-
-/// The yaw errors that are proved to decay, beside those that decay in simulation.
-pub(in super::super) fn attraction(rows: &[AttractionRow]) -> Figure {
-    let curve = |name, look, yaw: fn(&AttractionRow) -> f64| Curve {
-        name,
-        look,
-        x: rows.iter().map(|row| row.speed_m_s).collect(),
-        y: rows.iter().map(|row| yaw(row).to_degrees()).collect(),
-        time: None,
-    };
-    Figure::column(
-        "Region of attraction of the straight motion",
-        "Yaw error up to which the straight motion is regained: proved, and in simulation.",
-        vec![Panel {
-            height_mm: 56.0,
-            curves: vec![
-                curve("proved", Look::Actual, |row| row.proved_yaw_rad),
-                curve("simulated", Look::Other, |row| row.simulated_yaw_rad),
-            ],
-            ..Panel::new(
-                SPEED,
-                Axis::new("yaw error", Some(Symbol::new("ψ", "")), "°"),
-            )
-        }],
-    )
 }

@@ -8,8 +8,7 @@ mod sampled;
 mod scene;
 
 pub(super) use command::{FiguresArgs, run};
-pub use maps::cycles;
-pub(super) use maps::{attraction, basin};
-pub use maps::{eigenvalue, eigenvalues, region};
+pub(super) use maps::basin;
+pub use maps::{cycles, eigenvalues, region};
 pub use sampled::sampled;
 pub use scene::{Scene, around_meaningful, drawn_deviations};

@@ -21,6 +21,7 @@ mod switched;
 mod tick;
 
 use nalgebra::DMatrix;
+use singletrack_control::VehicleParameters;
 
 use super::closed_loop::{ClosedLoop, Law};
 
@@ -35,19 +36,36 @@ pub use self::{
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SampledLoop {
     pub(super) closed_loop: ClosedLoop,
-    period: f64,
-    delay: f64,
-    /// In ticks.
-    marker_interval: u32,
-    position_gain: f64,
-    servo: Option<Servo>,
-    prediction: Option<Prediction>,
-    compensation: Option<Compensation>,
-    ages: Ages,
-    /// In ticks.
-    predicted_pose: u32,
-    /// In ticks.
-    servo_frame: u32,
+    timing: Timing,
+}
+
+/// What happens between a measurement and the wheels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Timing {
+    /// From tick to tick, in s.
+    pub period: f64,
+    /// From a tick until its command takes effect, in s.
+    pub delay: f64,
+    /// From pose to pose, in ticks; in between the pose is held.
+    pub marker_interval: u32,
+    /// How long the estimator predicts the pose after the tick that saw it, before it holds it, in
+    /// ticks (`estimator.prediction_horizon_ms`).
+    pub predicted_pose: u32,
+    /// The gain of a proportional position loop about a straight path, in 1/s; zero for the law alone.
+    pub position_gain: f64,
+    /// A steering servo, whose dead time adds to the delay.
+    pub servo: Option<Servo>,
+    /// The servo takes the command of every tick of this number, and keeps it until the next one: a
+    /// servo pulse every 20 ms.
+    pub servo_frame: u32,
+    /// The ages of the measurements at the tick. An exact [`Prediction`] is one from their own time on:
+    /// they have no effect with it.
+    pub ages: Ages,
+    /// A controller that predicts. It needs a servo, and has no effect without one.
+    pub prediction: Option<Prediction>,
+    /// The pilot's compensation, in place of a [`Prediction`]. It needs a servo and the front-point law,
+    /// and has no effect otherwise.
+    pub compensation: Option<Compensation>,
 }
 
 /// An invalid parameter of a sampled loop.
@@ -60,21 +78,6 @@ pub struct SamplingError {
     pub value: f64,
     /// The valid range.
     pub rule: &'static str,
-}
-
-impl SamplingError {
-    /// Refuses a value that is not valid.
-    fn unless(
-        is_valid: bool,
-        name: &'static str,
-        value: f64,
-        rule: &'static str,
-    ) -> Result<(), Self> {
-        match is_valid {
-            true => Ok(()),
-            false => Err(Self { name, value, rule }),
-        }
-    }
 }
 
 /// The limits of the search for margins.
@@ -101,119 +104,95 @@ const DELAY_RESOLUTION: f64 = 1e-6;
 /// The longest delay, in ticks: the size of the matrices grows with it.
 const MOST_TICKS: f64 = 1_000.0;
 
-impl SampledLoop {
-    /// `closed_loop` evaluated every `period` s, with commands that take effect `delay` s after
-    /// their tick.
-    ///
-    /// # Errors
-    ///
-    /// A period that is not above zero, a delay below zero or above a thousand
-    /// periods.
-    pub fn new(closed_loop: ClosedLoop, period: f64, delay: f64) -> Result<Self, SamplingError> {
-        let is_valid = period.is_finite() && period > 0.0;
-        let rule = "finite and above zero";
-        SamplingError::unless(is_valid, "the control period in s", period, rule)?;
-        let is_valid = (0.0..=MOST_TICKS * period).contains(&delay);
-        let rule = "between 0 and 1000 control periods";
-        SamplingError::unless(is_valid, "the delay in s", delay, rule)?;
-        Ok(Self {
-            closed_loop,
+impl Timing {
+    /// A pose and a command at every tick, wheels that follow at once, and no position loop.
+    pub const fn new(period: f64, delay: f64) -> Self {
+        Self {
             period,
             delay,
             marker_interval: 1,
+            predicted_pose: 0,
             position_gain: 0.0,
             servo: None,
+            servo_frame: 1,
+            ages: Ages {
+                yaw_rate: 0.0,
+                sideslip: 0.0,
+            },
             prediction: None,
             compensation: None,
-            ages: Ages::default(),
-            predicted_pose: 0,
-            servo_frame: 1,
+        }
+    }
+
+    /// A prediction by the true servo and delay, and by this car.
+    pub fn exact_prediction(&self, vehicle: VehicleParameters) -> Option<Prediction> {
+        self.servo.map(|servo| Prediction {
+            lag: servo.lag,
+            delay: self.delay + servo.dead_time,
+            vehicle,
         })
     }
 
-    /// The same loop with a pose at every `interval`-th tick only; in between it is held.
-    #[must_use]
-    pub fn with_marker_interval(mut self, interval: u32) -> Self {
-        self.marker_interval = interval.max(1);
-        self
+    fn validate(&self) -> Result<(), SamplingError> {
+        let most = MOST_TICKS * self.period;
+        type Rule = (&'static str, fn(f64, f64) -> bool);
+        let positive: Rule = ("finite and above zero", |value, _| {
+            value.is_finite() && value > 0.0
+        });
+        let not_negative: Rule = ("finite and not negative", |value, _| {
+            value.is_finite() && value >= 0.0
+        });
+        let within: Rule = ("between 0 and 1000 control periods", |value, most| {
+            (0.0..=most).contains(&value)
+        });
+        let mut values = vec![
+            ("the control period in s", self.period, positive),
+            ("the delay in s", self.delay, within),
+            ("the age of the yaw rate in s", self.ages.yaw_rate, within),
+            ("the age of the sideslip in s", self.ages.sideslip, within),
+            ("the position gain in 1/s", self.position_gain, not_negative),
+        ];
+        let modelled = self.compensation.map(|compensation| compensation.servo);
+        let predicted = self.prediction.map(|prediction| Servo {
+            lag: prediction.lag,
+            dead_time: prediction.delay,
+        });
+        for Servo { lag, dead_time } in [self.servo, modelled, predicted].into_iter().flatten() {
+            values.push(("the lag of the servo in s", lag, positive));
+            values.push(("the dead time of the servo in s", dead_time, not_negative));
+        }
+        if let Some(Servo { dead_time, .. }) = modelled {
+            values.push(("the modelled dead time in s", dead_time, within));
+        }
+        for (name, value, (rule, holds)) in values {
+            if !holds(value, most) {
+                return Err(SamplingError { name, value, rule });
+            }
+        }
+        Ok(())
     }
+}
 
-    /// The same loop with an estimator that predicts the pose for `ticks` ticks after the one that
-    /// saw it, before it holds it (`estimator.prediction_horizon_ms`).
-    #[must_use]
-    pub fn with_predicted_pose(mut self, ticks: u32) -> Self {
-        self.predicted_pose = ticks;
-        self
-    }
-
-    /// The same loop with a servo that takes the command of every `ticks`-th tick only, and keeps it
-    /// until the next one: a servo pulse every 20 ms.
-    #[must_use]
-    pub fn with_servo_frame(mut self, ticks: u32) -> Self {
-        self.servo_frame = ticks.max(1);
-        self
-    }
-
-    /// The same loop with measurements that are old at the tick. An exact [`Prediction`] is one
-    /// from their own time on: the ages have no effect with it.
+impl SampledLoop {
+    /// `closed_loop` evaluated in ticks.
     ///
     /// # Errors
     ///
-    /// An age below zero or above a thousand periods.
-    pub fn with_ages(self, ages: Ages) -> Result<Self, SamplingError> {
-        ages.validate(MOST_TICKS * self.period)?;
-        Ok(Self { ages, ..self })
-    }
-
-    /// The same loop with the pilot's compensation, in place of a [`Prediction`]. It needs a servo
-    /// and the front-point law, and has no effect otherwise.
-    ///
-    /// # Errors
-    ///
-    /// A lag that is not above zero, or a dead time below zero or above a thousand periods.
-    pub fn with_compensation(mut self, compensation: Compensation) -> Result<Self, SamplingError> {
-        compensation.servo.validate()?;
-        let dead_time = compensation.servo.dead_time;
-        let is_valid = dead_time <= MOST_TICKS * self.period;
-        let rule = "at most 1000 control periods";
-        SamplingError::unless(is_valid, "the modelled dead time in s", dead_time, rule)?;
-        let applies = self.servo.is_some() && self.closed_loop.law == Law::FrontPoint;
-        self.compensation = applies.then_some(compensation);
-        self.prediction = None;
-        Ok(self)
-    }
-
-    /// The same loop with a steering servo, whose dead time adds to the delay.
-    ///
-    /// # Errors
-    ///
-    /// A lag that is not above zero, or a negative dead time.
-    pub fn with_servo(mut self, servo: Servo) -> Result<Self, SamplingError> {
-        servo.validate()?;
-        self.servo = Some(servo);
-        Ok(self)
-    }
-
-    /// The same loop with a controller that predicts. It needs a servo, and has no effect
-    /// without one.
-    ///
-    /// # Errors
-    ///
-    /// A lag that is not above zero, or a negative delay.
-    pub fn with_prediction(mut self, prediction: Prediction) -> Result<Self, SamplingError> {
-        prediction.validate()?;
-        self.prediction = self.servo.map(|_| prediction);
-        self.compensation = None;
-        Ok(self)
-    }
-
-    /// A prediction by the true car, servo and delay.
-    pub fn exact_prediction(&self) -> Option<Prediction> {
-        let servo = self.servo?;
-        Some(Prediction {
-            lag: servo.lag,
-            delay: self.delay + servo.dead_time,
-            vehicle: self.closed_loop.vehicle,
+    /// A period or a lag that is not above zero, a negative gain, or a time below zero or above a
+    /// thousand periods.
+    pub fn new(closed_loop: ClosedLoop, mut timing: Timing) -> Result<Self, SamplingError> {
+        timing.validate()?;
+        let has_servo = timing.servo.is_some();
+        let is_front_point = closed_loop.law == Law::FrontPoint;
+        timing.compensation = timing.compensation.filter(|_| has_servo && is_front_point);
+        timing.prediction = timing
+            .prediction
+            .filter(|_| has_servo && timing.compensation.is_none());
+        timing.marker_interval = timing.marker_interval.max(1);
+        timing.servo_frame = timing.servo_frame.max(1);
+        Ok(Self {
+            closed_loop,
+            timing,
         })
     }
 
@@ -229,20 +208,6 @@ impl SampledLoop {
         is_stable(Cycle::of(self).map())
     }
 
-    /// The same loop inside a proportional position loop of this gain, in 1/s, about a straight
-    /// path. With zero it is the law alone.
-    ///
-    /// # Errors
-    ///
-    /// A gain that is negative or not finite.
-    pub fn with_position_gain(mut self, position_gain: f64) -> Result<Self, SamplingError> {
-        let is_valid = position_gain.is_finite() && position_gain >= 0.0;
-        let rule = "finite and not negative";
-        SamplingError::unless(is_valid, "the position gain in 1/s", position_gain, rule)?;
-        self.position_gain = position_gain;
-        Ok(self)
-    }
-
     /// The spectral radius per tick: the factor by which disturbances grow or decay per tick in
     /// the long run. Below one the motion is stable.
     pub fn spectral_radius(&self) -> f64 {
@@ -253,17 +218,21 @@ impl SampledLoop {
     /// The smallest delay in s that makes the motion unstable. Zero if it is unstable without a delay, none if it is stable with every delay up
     /// to the limit. The loop's own delay has no influence; the servo's dead time comes on top.
     pub fn delay_margin(&self, limits: MarginLimits) -> Option<f64> {
-        let is_stable = |delay: f64| Self { delay, ..*self }.is_stable();
+        let is_stable = |delay: f64| {
+            let mut delayed = *self;
+            delayed.timing.delay = delay;
+            delayed.is_stable()
+        };
         let mut stable = 0.0;
         if !is_stable(stable) {
             return Some(0.0);
         }
-        let limit = limits.delay.min(MOST_TICKS * self.period);
+        let limit = limits.delay.min(MOST_TICKS * self.timing.period);
         let mut unstable = loop {
             if stable >= limit {
                 return None;
             }
-            let next = (stable + self.period).min(limit);
+            let next = (stable + self.timing.period).min(limit);
             if !is_stable(next) {
                 break next;
             }
@@ -288,7 +257,7 @@ impl SampledLoop {
         let mut cycle = Cycle::new(self);
         while cycle.interval <= limits.marker_interval {
             if !is_stable(cycle.map()) {
-                return Some(f64::from(cycle.interval - 1) * self.period);
+                return Some(f64::from(cycle.interval - 1) * self.timing.period);
             }
             cycle.lengthen();
         }
@@ -313,11 +282,11 @@ impl Cycle {
     fn new(sampled: &SampledLoop) -> Self {
         let ticks = [true, false].map(|pose| [true, false].map(|takes| sampled.tick(pose, takes)));
         let [[taken, kept], _] = &ticks;
-        let others = (1..sampled.servo_frame).map(|_| kept);
+        let others = (1..sampled.timing.servo_frame).map(|_| kept);
         Self {
             interval: 1,
-            predicted: sampled.predicted_pose,
-            frame: sampled.servo_frame,
+            predicted: sampled.timing.predicted_pose,
+            frame: sampled.timing.servo_frame,
             intervals: [taken].into_iter().chain(others).cloned().collect(),
             ticks,
         }
@@ -325,7 +294,7 @@ impl Cycle {
 
     fn of(sampled: &SampledLoop) -> Self {
         let mut cycle = Self::new(sampled);
-        for _ in 1..sampled.marker_interval {
+        for _ in 1..sampled.timing.marker_interval {
             cycle.lengthen();
         }
         cycle

@@ -4,7 +4,6 @@ use nalgebra::{DMatrix, DVector};
 use num_dual::Dual64;
 use singletrack_control::{LateralMotion, SingleTrack, SingleTrackState, VehicleParameters};
 
-use super::SamplingError;
 use crate::dual::DualFunctions;
 
 pub(super) const POSITION: usize = 0;
@@ -128,19 +127,6 @@ pub struct Ages {
     pub sideslip: f64,
 }
 
-impl Ages {
-    pub(super) fn validate(&self, most: f64) -> Result<(), SamplingError> {
-        for (name, age) in [
-            ("the age of the yaw rate in s", self.yaw_rate),
-            ("the age of the sideslip in s", self.sideslip),
-        ] {
-            let is_valid = (0.0..=most).contains(&age);
-            SamplingError::unless(is_valid, name, age, "between 0 and 1000 control periods")?;
-        }
-        Ok(())
-    }
-}
-
 /// A delay in whole ticks and the rest, in s.
 #[derive(Clone, Copy)]
 pub(super) struct Delay {
@@ -167,17 +153,6 @@ pub struct Servo {
     pub dead_time: f64,
 }
 
-impl Servo {
-    pub(super) fn validate(&self) -> Result<(), SamplingError> {
-        let Self { lag, dead_time } = *self;
-        let (is_valid, rule) = (lag.is_finite() && lag > 0.0, "finite and above zero");
-        SamplingError::unless(is_valid, "the lag of the servo in s", lag, rule)?;
-        let is_valid = dead_time.is_finite() && dead_time >= 0.0;
-        let rule = "finite and not negative";
-        SamplingError::unless(is_valid, "the dead time of the servo in s", dead_time, rule)
-    }
-}
-
 /// A controller that evaluates the law at the predicted state: the one at which its command
 /// will act, `delay + lag` after the tick.
 ///
@@ -195,14 +170,6 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    pub(super) fn validate(&self) -> Result<(), SamplingError> {
-        Servo {
-            lag: self.lag,
-            dead_time: self.delay,
-        }
-        .validate()
-    }
-
     /// How far it looks ahead, in s.
     pub fn horizon(&self) -> f64 {
         self.delay + self.lag

@@ -103,14 +103,14 @@ fn first(mut no: u32, mut yes: u32, holds: impl Fn(u32) -> bool) -> u32 {
 impl SampledLoop {
     /// The loop over intervals between poses of one to `longest` ticks, in every order.
     pub fn irregular(&self, longest: u32) -> Switched {
-        let frame = self.servo_frame;
+        let frame = self.timing.servo_frame;
         let [[known_taken, known_kept], [held_taken, held_kept]] = self.tick_maps();
         let mut steps = Vec::new();
         for phase in 0..frame {
             let mut map = DMatrix::identity(known_taken.nrows(), known_taken.nrows());
             for ticks in 1..=longest {
                 let takes = (phase + ticks - 1).is_multiple_of(frame);
-                let is_known = ticks <= 1 + self.predicted_pose;
+                let is_known = ticks <= 1 + self.timing.predicted_pose;
                 map = match (is_known, takes) {
                     (true, true) => &known_taken,
                     (true, false) => &known_kept,
@@ -140,7 +140,7 @@ impl SampledLoop {
         let found = 1.0 / mean_ticks.max(1.0);
         let lost = (found * share / (1.0 - share)).min(1.0);
         // How long the pose is lost: 0 if it is measured, up to the ticks of prediction, then held.
-        let (frame, last) = (self.servo_frame, self.predicted_pose + 1);
+        let (frame, last) = (self.timing.servo_frame, self.timing.predicted_pose + 1);
         let maps = self.tick_maps();
         let node = |missing: u32, phase: u32| (missing * frame + phase) as usize;
         let mut steps = Vec::new();

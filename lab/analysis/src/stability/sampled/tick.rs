@@ -75,12 +75,12 @@ impl SampledLoop {
         };
         let mut map = DMatrix::<f64>::zeros(layout.size, layout.size);
         map.view_mut((0, 0), (states, states))
-            .copy_from(&plant.transition(self.period));
-        let inputs = plant.split_input(self.period, delay.late);
+            .copy_from(&plant.transition(self.timing.period));
+        let inputs = plant.split_input(self.timing.period, delay.late);
         add_input(&mut map, &layout, &taken, 0, delay.ticks, &inputs);
         for &(state, first, age) in &layout.aged {
             // The state so late before the next tick.
-            let until = self.period - age.late;
+            let until = self.timing.period - age.late;
             let transition = plant.transition(until);
             map.view_mut((first, 0), (1, states))
                 .copy_from(&transition.row(state));
@@ -92,20 +92,27 @@ impl SampledLoop {
                 map[(first + tick, first + tick - 1)] = 1.0;
             }
         }
-        if let (Some(model), Some(compensation)) = (layout.model, self.compensation) {
+        if let (Some(model), Some(compensation)) = (layout.model, self.timing.compensation) {
             let given = |age| layout.given(Some(&command), age);
             let now = layout.modelled(model);
-            let next = compensation.run(speed, self.period, self.period, now, given, |_, _| {});
+            let next = compensation.run(
+                speed,
+                self.timing.period,
+                self.timing.period,
+                now,
+                given,
+                |_, _| {},
+            );
             map.set_row(model, &next.wheels.transpose());
             map.set_row(model + 1, &next.yaw_rate.transpose());
             map.set_row(model + 2, &next.sideslip.transpose());
         }
         if let (Some(row), Some(delay), Some(prediction)) =
-            (layout.modelled, modelled_delay, self.prediction)
+            (layout.modelled, modelled_delay, self.timing.prediction)
         {
             let follows = |time: f64| 1.0 - libm::exp(-time / prediction.lag);
-            let rest = self.period - delay.late;
-            map[(row, row)] = libm::exp(-self.period / prediction.lag);
+            let rest = self.timing.period - delay.late;
+            map[(row, row)] = libm::exp(-self.timing.period / prediction.lag);
             let inputs = [
                 libm::exp(-rest / prediction.lag) * follows(delay.late),
                 follows(rest),
@@ -123,7 +130,7 @@ impl SampledLoop {
             let from = if has_pose { pose } else { layout.held + pose };
             map[(layout.held + pose, from)] = 1.0;
         }
-        if self.position_gain == 0.0 {
+        if self.timing.position_gain == 0.0 {
             // Without the outer loop nothing depends on the position.
             map = map
                 .remove_rows_at(&[POSITION, layout.held + POSITION])
@@ -133,7 +140,7 @@ impl SampledLoop {
     }
 
     fn steering(&self) -> Steering {
-        match (self.servo, self.closed_loop.law) {
+        match (self.timing.servo, self.closed_loop.law) {
             (Some(servo), _) => Steering::Servo(servo.lag),
             (None, Law::FrontPoint) => Steering::Rate,
             (None, Law::VelocityPoint) => Steering::Angle,
@@ -142,15 +149,16 @@ impl SampledLoop {
 
     /// The delay from a tick to the wheels.
     fn whole_delay(&self) -> Delay {
-        let dead_time = self.servo.map_or(0.0, |servo| servo.dead_time);
-        Delay::new(self.delay + dead_time, self.period)
+        let dead_time = self.timing.servo.map_or(0.0, |servo| servo.dead_time);
+        Delay::new(self.timing.delay + dead_time, self.timing.period)
     }
 
     fn modelled_delay(&self) -> Option<Delay> {
-        self.prediction
+        self.timing
+            .prediction
             .map(|prediction| prediction.delay)
-            .or(self.compensation.map(|by| by.servo.dead_time))
-            .map(|delay| Delay::new(delay, self.period))
+            .or(self.timing.compensation.map(|by| by.servo.dead_time))
+            .map(|delay| Delay::new(delay, self.timing.period))
     }
 
     /// The layout of the loop's state, of which the first are those of the plant.
@@ -159,9 +167,9 @@ impl SampledLoop {
         let pending = 1 + self
             .modelled_delay()
             .map_or(delay.ticks, |other| other.ticks.max(delay.ticks));
-        let commands = states + usize::from(self.prediction.is_some());
+        let commands = states + usize::from(self.timing.prediction.is_some());
         let mut layout = Layout {
-            modelled: self.prediction.map(|_| states),
+            modelled: self.timing.prediction.map(|_| states),
             commands,
             pending,
             taken: commands,
@@ -170,22 +178,22 @@ impl SampledLoop {
             model: None,
             size: commands + pending + 2,
         };
-        if self.servo_frame > 1 {
+        if self.timing.servo_frame > 1 {
             layout.taken = layout.size;
             layout.size += pending;
         }
         for (state, age) in [
-            (YAW_RATE, self.ages.yaw_rate),
-            (SIDESLIP, self.ages.sideslip),
+            (YAW_RATE, self.timing.ages.yaw_rate),
+            (SIDESLIP, self.timing.ages.sideslip),
         ] {
             // An exact prediction knows what has happened since.
-            if age > 0.0 && self.prediction.is_none() {
-                let age = Delay::new(age, self.period);
+            if age > 0.0 && self.timing.prediction.is_none() {
+                let age = Delay::new(age, self.timing.period);
                 layout.aged.push((state, layout.size, age));
                 layout.size += age.ticks + 1;
             }
         }
-        if self.compensation.is_some() {
+        if self.timing.compensation.is_some() {
             layout.model = Some(layout.size);
             layout.size += 3;
         }
@@ -230,7 +238,7 @@ impl SampledLoop {
                 name(model + at, format!("model_{of}"));
             }
         }
-        if self.position_gain == 0.0 {
+        if self.timing.position_gain == 0.0 {
             names.retain(|name| name != "y" && name != "held_y");
         }
         names
@@ -252,7 +260,7 @@ impl SampledLoop {
         for &(state, first, age) in &layout.aged {
             measured.set_row(state, &layout.unit(first + age.ticks).transpose());
         }
-        if let (Some(model), Some(compensation)) = (layout.model, self.compensation) {
+        if let (Some(model), Some(compensation)) = (layout.model, self.timing.compensation) {
             return self.compensated(&compensation, measured, layout, model);
         }
         let angle = match (steering, layout.modelled) {
@@ -264,14 +272,14 @@ impl SampledLoop {
             (Steering::Angle, None) => layout.commands,
         };
         measured[(STEERING, angle)] = 1.0;
-        let measured = match &self.prediction {
+        let measured = match &self.timing.prediction {
             Some(prediction) => self.predicted(prediction, measured, layout),
             None => measured,
         };
         let command = measured.transpose() * self.gains();
         if self.closed_loop.law == Law::FrontPoint && steering != Steering::Rate {
             // The law's rate is integrated to an angle, which is sent at once.
-            let mut angle = command * self.period;
+            let mut angle = command * self.timing.period;
             angle[layout.commands] += 1.0;
             angle
         } else {
@@ -289,13 +297,13 @@ impl SampledLoop {
     ) -> DVector<f64> {
         let predicted = compensation.predicted(
             self.closed_loop.speed,
-            self.period,
+            self.timing.period,
             measured,
             layout.modelled(model),
             |age| layout.given(None, age),
         );
         let rate = predicted.transpose() * self.gains();
-        predicted.row(STEERING).transpose() + rate * compensation.lead(self.period)
+        predicted.row(STEERING).transpose() + rate * compensation.lead(self.timing.period)
     }
 
     /// The state when a command of this tick acts, by the models of servo and car, under the
@@ -308,7 +316,7 @@ impl SampledLoop {
     ) -> DMatrix<f64> {
         let servo = Steering::Servo(prediction.lag);
         let model = Plant::new(&prediction.vehicle, self.closed_loop.speed, servo);
-        let delay = Delay::new(prediction.delay, self.period);
+        let delay = Delay::new(prediction.delay, self.timing.period);
         let mut predicted = measured;
         let mut left = prediction.horizon();
         for age in (1..=delay.ticks + 1).rev() {
@@ -317,7 +325,7 @@ impl SampledLoop {
             } else if age == delay.ticks + 1 {
                 delay.late
             } else {
-                self.period
+                self.timing.period
             };
             if time > 0.0 {
                 predicted = model.transition(time) * predicted;
@@ -337,7 +345,7 @@ impl SampledLoop {
         let deviation = closed_loop.deviation;
         let [m, _, l_f, l_r, c_f, c_r] = symbols(&closed_loop.vehicle);
         let l_f = l_f + deviation;
-        let gain = self.position_gain;
+        let gain = self.timing.position_gain;
         DVector::from_vec(match closed_loop.law {
             // u = (v_Py - v (yaw + sideslip) - l_f r) / p - r, with
             // v_Py = -gain (y + l_f yaw + p (yaw + steering)).

@@ -1,119 +1,83 @@
 //! The accuracy of the identification: the same drive under many seeds of the simulator's
 //! noise, compared with the truth and with the Cramér-Rao bound.
 
-#![deny(clippy::disallowed_methods, reason = "simulated drives begin here")]
+use std::{fmt::Display, path::Path};
 
-use std::{
-    fmt::Display,
-    path::Path,
-    sync::atomic::{AtomicUsize, Ordering},
-};
-
-use serde::{Deserialize, Serialize};
 use singletrack_analysis::identification::{
-    self, DriveData, NoiseLevels, Parameter, Settings, Values,
+    self, DriveData, Estimate, NoiseLevels, Parameter, Settings, Values, Warning,
 };
-use singletrack_campaign::{Experiment, run_units, thread_count};
+use singletrack_campaign::{run_units, thread_count};
 use singletrack_control::{SlipAngles, Tyres, VehicleParameters};
+use singletrack_lab::{Result, identify::Collector};
 use singletrack_scenario::simulate::{Scenario, drive_entries};
 use singletrack_sim::{CameraParameters, CarTruth, ImuParameters, ServoParameters};
 
-use super::Collector;
-use crate::Result;
-
 /// The drive for the identification.
-pub const SCENARIO: &str = include_str!("../../../tools/scenarios/identify-car.toml");
+pub(crate) const SCENARIO: &str = include_str!("../../tools/scenarios/identify-car.toml");
 /// Another one, for validation.
-pub const VALIDATION: &str = include_str!("../../../tools/scenarios/identify-car-validation.toml");
+pub(crate) const VALIDATION: &str =
+    include_str!("../../tools/scenarios/identify-car-validation.toml");
 
 /// The study: the same drive under consecutive seeds.
 ///
-/// Each unit simulates the drive for identification, identifies the car from it and
+/// Each seed simulates the drive for identification, identifies the car from it and
 /// validates that on the other drive under another seed. Every fit starts from a car that is
 /// wrong by 30 to 40 %. The car that is driven may have another structure than the model that
 /// is fitted, whose slip angles are small.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct StudyPlan {
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct StudyPlan {
     /// The first seed.
-    pub first_seed: u64,
+    pub(crate) first_seed: u64,
     /// The number of seeds.
-    pub count: u64,
+    pub(crate) count: u64,
     /// The tyres of the car that is driven.
-    #[serde(default)]
-    pub tyre_curve: Tyres,
+    pub(crate) tyre_curve: Tyres,
     /// The slip angles of the car that is driven.
-    #[serde(default)]
-    pub slip_angles: SlipAngles,
+    pub(crate) slip_angles: SlipAngles,
     /// The tyres of the model that is fitted.
-    #[serde(default)]
-    pub fitted_tyres: Tyres,
+    pub(crate) fitted_tyres: Tyres,
     /// The slip angles of the model that is fitted.
-    #[serde(default)]
-    pub fitted_slip_angles: SlipAngles,
+    pub(crate) fitted_slip_angles: SlipAngles,
 }
 
 /// The results of the study.
 #[derive(Clone, Debug)]
-pub struct Study {
+pub(crate) struct Study {
     /// The car that was driven.
-    pub truth: VehicleParameters,
+    pub(crate) truth: VehicleParameters,
     /// Each seed, in the given order.
-    pub seeds: Vec<SeedResult>,
+    pub(crate) seeds: Vec<SeedResult>,
 }
 
 /// The result of one seed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SeedResult {
-    /// The seed.
-    pub seed: u64,
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SeedResult {
     /// The identified parameters.
-    pub estimates: Vec<SeedEstimate>,
-    /// The smallest standard deviations of `C_f`, `C_r` and `I_z` (Cramér and Rao), with
-    /// the simulator's noise.
-    pub bounds: [f64; 3],
-    /// Normalised mean prediction error on the drive for identification.
-    pub nmpe: f64,
-    /// Normalised mean prediction error on the drive for validation.
-    pub validation_nmpe: f64,
+    pub(crate) estimates: Vec<Estimate>,
+    /// The smallest standard deviations of the parameters, those of the vehicle first (Cramér and
+    /// Rao), with the simulator's noise.
+    pub(crate) bounds: Vec<f64>,
+    /// Normalised mean prediction error on the drive for identification, and on that for validation.
+    pub(crate) nmpe: [f64; 2],
     /// The warnings of the fit.
-    pub warnings: Vec<String>,
-}
-
-/// An identified parameter of one seed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SeedEstimate {
-    /// The parameter's name.
-    pub parameter: String,
-    /// The estimate.
-    pub value: f64,
-    /// Its standard deviation.
-    pub standard_deviation: f64,
-    /// The 95 % confidence interval.
-    pub interval: [f64; 2],
+    pub(crate) warnings: Vec<Warning>,
 }
 
 /// The statistics of a parameter over all seeds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Summary {
+pub(crate) struct Summary {
     /// Which.
-    pub parameter: Parameter,
+    pub(crate) parameter: Parameter,
     /// The truth.
-    pub truth: f64,
-    /// Mean of the estimates.
-    pub mean: f64,
+    pub(crate) truth: f64,
     /// Standard deviation of the estimates from the truth.
-    pub deviation: f64,
+    pub(crate) deviation: f64,
     /// Largest error over the truth.
-    pub worst_relative_error: f64,
-    /// How many intervals of 95 % hold the truth.
-    pub covered: usize,
+    pub(crate) worst_relative_error: f64,
     /// Mean of the standard deviations that the fits state.
-    pub stated_deviation: f64,
+    pub(crate) stated_deviation: f64,
     /// Mean of the Cramér-Rao bounds.
-    pub bound: f64,
+    pub(crate) bound: f64,
 }
 
 /// Says with which seed it failed.
@@ -121,32 +85,15 @@ fn under<E: Display>(seed: u64) -> impl Fn(E) -> String {
     move |error| format!("seed {seed}: {error}")
 }
 
-impl Experiment for StudyPlan {
-    const NAME: &'static str = "identify-study";
-    type Result = SeedResult;
-
-    fn units(&self) -> u64 {
-        self.count
-    }
-
-    fn run(&self, unit: u64) -> Result<SeedResult> {
-        one(self, self.first_seed.wrapping_add(unit))
-    }
-}
-
-/// Runs the study on all cores. `progress` gets the number of completed seeds, on any thread.
-///
-/// # Errors
-///
-/// The first drive that does not determine the parameters.
-pub fn run_study(plan: &StudyPlan, progress: impl Fn(usize) + Sync) -> Result<Study> {
-    let done = AtomicUsize::new(0);
-    let units: Vec<u64> = (0..plan.count).collect();
-    let run = |unit| plan.run(unit);
-    let results = run_units(&units, thread_count(), run, || {
-        progress(done.fetch_add(1, Ordering::Relaxed) + 1);
-    })?;
-    Study::of(results.into_iter().map(|(_, result)| result).collect())
+/// Runs the study on all cores.
+pub(crate) fn run_study(plan: &StudyPlan) -> Result<Study> {
+    let seeds = (0..plan.count).map(|index| plan.first_seed.wrapping_add(index));
+    let seeds: Vec<u64> = seeds.collect();
+    let results = run_units(&seeds, thread_count(), |seed| one(plan, seed), || {})?;
+    Ok(Study {
+        truth: scenario(SCENARIO, 0)?.vehicle,
+        seeds: results.into_iter().map(|(_, result)| result).collect(),
+    })
 }
 
 fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult> {
@@ -171,28 +118,16 @@ fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult> {
     let other = simulated(plan, VALIDATION, seed ^ 1 << 40)?;
     let validation =
         identification::validate(&other, &identification, &settings).map_err(under(seed))?;
-    let mut of_vehicle = bounds.into_iter();
-    let estimates = identification.estimates.iter();
-    let warnings = identification.warnings.iter();
     Ok(SeedResult {
-        seed,
-        estimates: estimates
-            .map(|estimate| SeedEstimate {
-                parameter: estimate.parameter.name().to_owned(),
-                value: estimate.value,
-                standard_deviation: estimate.standard_deviation,
-                interval: estimate.interval,
-            })
-            .collect(),
-        bounds: Parameter::VEHICLE.map(|_| of_vehicle.next().unwrap_or(f64::NAN)),
-        nmpe: identification.score.nmpe,
-        validation_nmpe: validation.score.nmpe,
-        warnings: warnings.map(ToString::to_string).collect(),
+        estimates: identification.estimates,
+        bounds,
+        nmpe: [identification.score.nmpe, validation.score.nmpe],
+        warnings: identification.warnings,
     })
 }
 
 /// Where a fit starts: a car that is wrong by 30 to 40 %.
-pub(crate) fn start(truth: VehicleParameters) -> VehicleParameters {
+fn start(truth: VehicleParameters) -> VehicleParameters {
     VehicleParameters {
         front_cornering_stiffness_n_rad: 1.4 * truth.front_cornering_stiffness_n_rad,
         rear_cornering_stiffness_n_rad: 0.7 * truth.rear_cornering_stiffness_n_rad,
@@ -208,7 +143,7 @@ fn scenario(text: &str, seed: u64) -> Result<Scenario> {
 }
 
 /// Lets a scenario drive a car with these equations, which has proved its configuration all the same.
-pub(crate) fn differ(scenario: &mut Scenario, tyres: Tyres, slip_angles: SlipAngles) {
+fn differ(scenario: &mut Scenario, tyres: Tyres, slip_angles: SlipAngles) {
     let mut truth = CarTruth::default();
     truth.vehicle.tyre_curve = Some(tyres);
     truth.vehicle.slip_angles = Some(slip_angles);
@@ -280,25 +215,15 @@ fn simulated_noise(speed: f64) -> NoiseLevels {
 
 impl SeedResult {
     /// The estimate of a parameter, if it was identified.
-    pub fn estimate(&self, parameter: Parameter) -> Option<&SeedEstimate> {
+    pub(crate) fn estimate(&self, parameter: Parameter) -> Option<&Estimate> {
         let mut estimates = self.estimates.iter();
-        estimates.find(|estimate| estimate.parameter == parameter.name())
+        estimates.find(|estimate| estimate.parameter == parameter)
     }
 }
 
 impl Study {
-    /// Of these results.
-    ///
-    /// # Errors
-    ///
-    /// The scenario with the true car is invalid.
-    pub fn of(seeds: Vec<SeedResult>) -> Result<Self> {
-        let truth = scenario(SCENARIO, 0)?.vehicle;
-        Ok(Self { truth, seeds })
-    }
-
     /// Statistics of `C_f`, `C_r` and `I_z` over all seeds.
-    pub fn summaries(&self) -> [Summary; 3] {
+    pub(crate) fn summaries(&self) -> [Summary; 3] {
         let values = Values::of(&self.truth);
         let count = self.seeds.len().max(1) as f64;
         let mut index = 0;
@@ -307,10 +232,8 @@ impl Study {
             let mut summary = Summary {
                 parameter,
                 truth,
-                mean: 0.0,
                 deviation: 0.0,
                 worst_relative_error: 0.0,
-                covered: 0,
                 stated_deviation: 0.0,
                 bound: 0.0,
             };
@@ -319,12 +242,9 @@ impl Study {
                     continue;
                 };
                 let error = estimate.value - truth;
-                let [low, high] = estimate.interval;
-                summary.mean += estimate.value / count;
                 summary.deviation += error * error / count;
                 summary.worst_relative_error =
                     summary.worst_relative_error.max(error.abs() / truth);
-                summary.covered += usize::from((low..=high).contains(&truth));
                 summary.stated_deviation += estimate.standard_deviation / count;
                 summary.bound += result.bounds.get(index).copied().unwrap_or(f64::NAN) / count;
             }
@@ -336,13 +256,11 @@ impl Study {
 
     /// Mean of the normalised mean prediction errors on the drives for identification
     /// and for validation.
-    pub fn nmpe(&self) -> [f64; 2] {
+    pub(crate) fn nmpe(&self) -> [f64; 2] {
         let count = self.seeds.len().max(1) as f64;
-        let mean =
-            |value: fn(&SeedResult) -> f64| self.seeds.iter().map(value).sum::<f64>() / count;
-        [
-            mean(|result| result.nmpe),
-            mean(|result| result.validation_nmpe),
-        ]
+        [0, 1].map(|drive| {
+            let of_seeds = self.seeds.iter().map(|result| result.nmpe[drive]);
+            of_seeds.sum::<f64>() / count
+        })
     }
 }
