@@ -157,7 +157,7 @@ fn a_trajectory_that_is_repeated_after_its_end_ends_the_drive() {
         });
         drive
             .host()
-            .parts()
+            .parts
             .setpoints
             .pass(&SetpointCommand::Trajectory(Box::new(Trajectory {
                 stamp: stamp(now),
@@ -205,7 +205,7 @@ fn all_speed_straight_at_the_fence_stops_inside() {
             .collect();
         drive
             .host()
-            .parts()
+            .parts
             .setpoints
             .pass(&SetpointCommand::Trajectory(Box::new(Trajectory {
                 stamp: stamp(now),

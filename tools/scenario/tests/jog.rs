@@ -320,7 +320,7 @@ fn the_configuration_is_not_replaced_while_jogging() {
     let mut drive = jogging();
     drive
         .host()
-        .parts()
+        .parts
         .jogs
         .send(pulses(STRAIGHT_US, NEUTRAL_US));
     drive.step();
