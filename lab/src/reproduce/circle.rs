@@ -13,9 +13,9 @@ use singletrack_scenario::{
 use super::{
     GAIN, Setup, TURN_RATE,
     claims::{below, near},
-    drive::{Drives, Experiment, Measure, PLANTS, Run},
+    drive::{Drives, Experiment, PLANTS, Run},
     largest, least, pictures,
-    section::{Picture, Section},
+    section::{Measure, Picture, Section},
     steps,
     text::{metres, with_digits},
 };
@@ -151,14 +151,14 @@ fn facts(setup: &Setup, drives: &Drives, section: &mut Section) {
         ("lag", |run| tracking(run).map(|it| it.lag_rad), "rad"),
         ("error", |run| tracking(run).map(|it| it.rms_error_m), "m"),
     ];
-    drives.facts(section, (&cases, &plants), &measures);
+    section.measured(drives, (&cases, &plants), &measures);
     let settled: [Measure; 4] = [
         ("steering", |run| Some(run.rows.last()?.steering), "rad"),
         ("speed", |run| Some(run.rows.last()?.speed), "m/s"),
         ("sideslip", |run| Some(run.rows.last()?.sideslip), "rad"),
         ("yaw rate", |run| Some(run.rows.last()?.yaw_rate), "rad/s"),
     ];
-    drives.facts(section, (&["outside"], &plants), &settled);
+    section.measured(drives, (&["outside"], &plants), &settled);
 }
 
 fn amplitude(one: &Tracking) -> f64 {

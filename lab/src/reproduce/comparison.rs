@@ -12,9 +12,9 @@ use singletrack_figures::figure::Figure;
 use super::{
     Setup, assumptions,
     claims::{above, below, near},
-    drive::{Drives, Experiment, Measure, Run},
+    drive::{Drives, Experiment, Run},
     largest,
-    section::{Picture, Section},
+    section::{Measure, Picture, Section},
     steps,
     text::{metres, mm, number},
 };
@@ -118,7 +118,7 @@ fn facts(setup: &Setup, drives: &Drives, section: &mut Section) {
         ("steering", |run| Some(run.steepest()), "rad"),
     ];
     let laws = LAWS.map(|(_, law, _)| law);
-    drives.facts(section, (&["right", "deviation"], &laws), &measures);
+    section.measured(drives, (&["right", "deviation"], &laws), &measures);
 }
 
 /// The largest deviation of a drive, in m.

@@ -11,7 +11,7 @@ use singletrack_scenario::simulate::{
 };
 use singletrack_statistics::RootMeanSquare;
 
-use super::{Setup, largest, section::Section, text::told};
+use super::{Setup, largest};
 use crate::{Result, table::Table};
 
 /// An experiment, independent of the plant.
@@ -92,28 +92,6 @@ impl Drives {
     pub(super) fn of(&self, kind: &str) -> impl Iterator<Item = (&str, &Run)> {
         let drives = self.iter().filter(move |(_, own, _)| *own == kind);
         drives.map(|(case, _, run)| (case, run))
-    }
-}
-
-/// A number of a drive: its name, how it is measured, and its unit.
-pub(super) type Measure = (&'static str, fn(&Run) -> Option<f64>, &'static str);
-
-impl Drives {
-    /// Notes the numbers of these cases and kinds as facts, by names such as `lag outside car`.
-    pub(super) fn facts(
-        &self,
-        section: &mut Section,
-        (cases, kinds): (&[&str], &[&str]),
-        measures: &[Measure],
-    ) {
-        for case in cases {
-            for kind in kinds {
-                for (name, measure, unit) in measures {
-                    let value = self.get(case, kind).and_then(measure);
-                    section.fact(format!("{name} {case} {kind}"), told(value, unit));
-                }
-            }
-        }
     }
 }
 

@@ -9,9 +9,13 @@ use singletrack_scenario::simulate::PlantKind;
 use super::{
     Setup,
     claims::{Claim, ClaimWords, Verdict},
-    drive::{Experiment, Run},
+    drive::{Drives, Experiment, Run},
+    text::told,
 };
 use crate::{Result, table::Table};
+
+/// A number of a drive: its name, how it is measured, and its unit.
+pub(super) type Measure = (&'static str, fn(&Run) -> Option<f64>, &'static str);
 
 /// The words of the report, by section.
 pub(super) type Words = BTreeMap<String, SectionWords>;
@@ -111,6 +115,23 @@ impl Section {
     pub(super) fn facts<const N: usize>(&mut self, facts: [(&str, String); N]) {
         for (name, fact) in facts {
             self.fact(name, fact);
+        }
+    }
+
+    /// Notes the numbers of these cases and kinds of drives as facts, by names such as `lag outside car`.
+    pub(super) fn measured(
+        &mut self,
+        drives: &Drives,
+        (cases, kinds): (&[&str], &[&str]),
+        measures: &[Measure],
+    ) {
+        for case in cases {
+            for kind in kinds {
+                for (name, measure, unit) in measures {
+                    let value = drives.get(case, kind).and_then(measure);
+                    self.fact(format!("{name} {case} {kind}"), told(value, unit));
+                }
+            }
         }
     }
 

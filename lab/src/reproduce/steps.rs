@@ -9,9 +9,9 @@ use singletrack_statistics::RootMeanSquare;
 use super::{
     Setup, assumptions,
     claims::{above, below, near},
-    drive::{Drives, Experiment, Measure, PLANTS, Run},
+    drive::{Drives, Experiment, PLANTS, Run},
     largest, least, pictures,
-    section::{Picture, Section},
+    section::{Measure, Picture, Section},
     text::{metres, mm, number, told, with_digits},
 };
 
@@ -125,7 +125,7 @@ fn facts(setup: &Setup, drives: &Drives, section: &mut Section) {
     ];
     let cases = CASES.map(|(case, _)| case);
     let plants = PLANTS.map(|(_, plant, _)| plant);
-    drives.facts(section, (&cases, &plants), &measures);
+    section.measured(drives, (&cases, &plants), &measures);
 }
 
 /// The distance from the true P to nominal by theory (equation 9 integrated): a wrong `l_f`
