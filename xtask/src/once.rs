@@ -37,14 +37,15 @@ const CLIPPY_ARGUMENTS: (&str, &str) = (
 );
 
 /// Lets cargo call the copy for the crates of the workspace. Its folder is named by what its verdict
-/// depends on: cargo compiles a crate again if the path of its compiler differs.
-pub(crate) fn wrap(cargo: &mut Command) -> Result<(), Failure> {
+/// depends on, such as the version of clippy: cargo compiles a crate again if the path of its compiler
+/// differs, and rustdoc can't read what another version has written.
+pub(crate) fn wrap(cargo: &mut Command, clippy: &Path) -> Result<(), Failure> {
     let settings = root().join("clippy.toml");
     let settings =
         fs::read(&settings).map_err(|error| failure!("{}: {error}", settings.display()))?;
     let mut hasher = DefaultHasher::new();
     (include_str!("once.rs"), settings).hash(&mut hasher);
-    text(Command::new("clippy-driver").arg("--version"))?.hash(&mut hasher);
+    text(Command::new(clippy).arg("--version"))?.hash(&mut hasher);
     let folder = target::folder()?.join("once");
     let copy = folder
         .join(format!("{:016x}", hasher.finish()))

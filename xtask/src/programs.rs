@@ -4,7 +4,11 @@
 //! compiled again. All checks therefore name the same packages and targets, and cargo builds nothing
 //! twice. They use the profile `dev`, in which what computes is optimised.
 
-use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
+use std::{
+    os::unix::process::CommandExt,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 use crate::{
     once,
@@ -60,7 +64,7 @@ impl Packages {
     /// Cargo, with the options that name the packages. What it compiles is linted and documented, too.
     pub(crate) fn cargo(&self, command: &str) -> Result<Command> {
         let mut cargo = cargo(command);
-        once::wrap(&mut cargo)?;
+        once::wrap(&mut cargo, Path::new("clippy-driver"))?;
         cargo.args(self.options());
         Ok(cargo)
     }

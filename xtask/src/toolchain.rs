@@ -72,6 +72,11 @@ impl Compiler {
         })
     }
 
+    /// Its clippy.
+    pub(crate) fn clippy(&self) -> PathBuf {
+        self.rustc.with_file_name("clippy-driver")
+    }
+
     /// Cargo in a folder, without environment variables that would change the program: the tested
     /// program is the one that is flashed or installed.
     pub(crate) fn cargo(&self, folder: &Path) -> Command {

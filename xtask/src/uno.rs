@@ -125,8 +125,9 @@ pub(crate) fn build(car_id: u16, build_simulator: impl FnOnce() -> Result) -> Re
 
 /// Checks that the image builds without warnings of compiler, clippy and rustdoc.
 pub(crate) fn lint() -> Result {
-    let mut build = uno_cargo(&Compiler::find(AVR_CLIPPY)?, "build", &target::folder()?);
-    once::wrap(&mut build)?;
+    let compiler = Compiler::find(AVR_CLIPPY)?;
+    let mut build = uno_cargo(&compiler, "build", &target::folder()?);
+    once::wrap(&mut build, &compiler.clippy())?;
     // RUSTFLAGS would replace the image's own flags.
     check(build.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]))
 }
