@@ -298,8 +298,6 @@ mod thorough {
                 "{caption}"
             );
             assert!(figure.contains("<svg"), "no picture: {caption}");
-            assert!(!caption.contains('{'), "a fact is missing: {caption}");
-            assert!(!figure.contains("<h3></h3>"), "no title: {caption}");
             assert!(
                 !ours.contains("NaN") && !ours.contains("not a number") && !ours.contains("(not "),
                 "{ours}"

@@ -6,18 +6,18 @@ use indicatif::ProgressBar;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, Start};
 use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol};
 use singletrack_scenario::{
-    simulate::PlantKind,
+    simulate::{PlantKind, Row},
     tracking::{Sample, Tracking, last_turn},
 };
 
 use super::{
     GAIN, Setup, TURN_RATE,
-    claims::{below, near},
+    claims::{Scope, below, near},
     drive::{Drives, Experiment, PLANTS, Run},
     largest, least, pictures,
-    section::{Measure, Picture, Section},
+    section::{Picture, Section},
     steps,
-    text::{metres, with_digits},
+    text::{metres, number, told, with_digits},
 };
 
 /// Start of P on the path behind its reference, in rad. At distance zero the position loop
@@ -83,7 +83,13 @@ const LOST: &str = "lost";
 /// How often the markers are lost, in ticks: for 200 ms each, as in the open-loop steps.
 const LOSS_EVERY_TICKS: u64 = 500;
 
-pub(super) fn section(setup: &Setup, section: &mut Section, progress: &ProgressBar) {
+pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
+    let intro = format!(
+        "Radius {} m, {TURN_RATE} rad/s, proportional control with unit gain around the law, from \
+         several starts; and from the first again with the reference's velocity fed forward.",
+        number(setup.radius_m())
+    );
+    let mut section = Section::new(3, "Tracking a circle", intro);
     let mut drives = Drives::default();
     let mut drive = |case, what: &str, experiment: &Experiment| {
         progress.set_message(format!("circle, {what}"));
@@ -114,51 +120,9 @@ pub(super) fn section(setup: &Setup, section: &mut Section, progress: &ProgressB
             section.table(format!("circle-{case}-{plant}"), run.table());
         }
     }
-    facts(setup, &drives, section);
-    claims(setup, &drives, section);
-    plates(&drives, section);
-}
-
-/// The gain, and the lag in rad, of two integrators under proportional control.
-fn exact(setup: &Setup) -> [f64; 2] {
-    let gain = setup.amplitude_m() / setup.radius_m();
-    [gain, (TURN_RATE / GAIN).atan()]
-}
-
-/// What the words of this section name.
-fn facts(setup: &Setup, drives: &Drives, section: &mut Section) {
-    let [gain, lag] = exact(setup);
-    let reach = setup.amplitude_m();
-    section.facts([
-        ("radius", metres(setup.radius_m())),
-        ("turn rate", TURN_RATE.to_string()),
-        ("behind", BEHIND.to_string()),
-        ("gain", with_digits(gain, 6)),
-        ("exact lag", with_digits(lag, 6)),
-        ("lag", with_digits(lag, 4)),
-        ("lag in s", with_digits(lag / TURN_RATE, 3)),
-        ("amplitude", with_digits(reach, 4)),
-        ("velocity", with_digits(reach * TURN_RATE, 4)),
-    ]);
-    let plants = PLANTS.map(|(_, plant, _)| plant);
-    let cases = ["outside", "on-the-path", FEED_FORWARD];
-    let measures: [Measure; 3] = [
-        (
-            "amplitude",
-            |run| tracking(run).map(|it| it.amplitude_m),
-            "m",
-        ),
-        ("lag", |run| tracking(run).map(|it| it.lag_rad), "rad"),
-        ("error", |run| tracking(run).map(|it| it.rms_error_m), "m"),
-    ];
-    section.measured(drives, (&cases, &plants), &measures);
-    let settled: [Measure; 4] = [
-        ("steering", |run| Some(run.rows.last()?.steering), "rad"),
-        ("speed", |run| Some(run.rows.last()?.speed), "m/s"),
-        ("sideslip", |run| Some(run.rows.last()?.sideslip), "rad"),
-        ("yaw rate", |run| Some(run.rows.last()?.yaw_rate), "rad/s"),
-    ];
-    section.measured(drives, (&["outside"], &plants), &settled);
+    claims(setup, &drives, &mut section);
+    plates(setup, &drives, &mut section);
+    section
 }
 
 fn amplitude(one: &Tracking) -> f64 {
@@ -195,7 +159,9 @@ fn spread(drives: &Drives, plant: &str) -> Option<f64> {
 
 fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
     let (radius, reach) = (setup.radius_m(), setup.amplitude_m());
-    let [_, behind] = exact(setup);
+    // Gain, lag and distance of two integrators under proportional control.
+    let gain = reach / radius;
+    let behind = (TURN_RATE / GAIN).atan();
     let distance = radius / (1.0 + (GAIN / TURN_RATE).powi(2)).sqrt();
     // The criteria of the simulated car are for one of the paper's size.
     let count = if setup.is_paper() { 2 } else { 1 };
@@ -205,24 +171,55 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             .take(count)
             .map(|((label, plant), tolerance)| (label, plant, tolerance))
     };
-    let claim = section.claim("circle-converges");
+    let claim = section.claim(
+        ("circle-converges", Scope::AnyCar, "m, rad"),
+        "P converges to the path, wherever it starts",
+        "\"guarantees the convergence to the desired trajectory even in this situation\": all \
+         starts end alike",
+        "amplitude and lag of the last turn, from four starts; to a path of its own: see below",
+    );
     for (label, plant, tolerance) in plants(["apart, ideal", "apart, car"], [1e-4, 0.01]) {
         claim.number(label, spread(drives, plant), near(0.0, tolerance));
     }
-    let claim = section.claim("circle-amplitude");
+    let claim = section.claim(
+        ("circle-amplitude", Scope::AnyCar, "m"),
+        "Reference and actual position have the same amplitude",
+        format!("\"sinusoids with the same amplitude\": {}", metres(radius)),
+        format!(
+            "two integrators under unit gain are a low-pass: 1/√(1 + 0.5²) = {} of the \
+             reference's amplitude",
+            with_digits(gain, 6)
+        ),
+    );
     for (label, plant, tolerance) in plants(["ideal", "car"], [1e-5, 0.02]) {
         let value = of(drives, "outside", plant, amplitude);
         let same = near(radius, 0.01 * radius);
         claim.slip(label, value, same, near(reach, tolerance * radius));
     }
-    let claim = section.claim("circle-lag");
+    let claim = section.claim(
+        ("circle-lag", Scope::AnyCar, "rad"),
+        "The delay comes from the start outside the path",
+        "\"as the vehicle starts outside the desired path\": a start on the path would have none",
+        format!(
+            "it is the steady state of proportional control, atan(0.5) = {} rad, from every \
+             start, also from one on the path",
+            with_digits(behind, 6)
+        ),
+    );
     for (label, plant, tolerance) in
         plants(["on the path, ideal", "on the path, car"], [1e-5, 0.02])
     {
         let value = of(drives, "on-the-path", plant, lag);
         claim.slip(label, value, near(0.0, 0.01), near(behind, tolerance));
     }
-    let claim = section.claim("circle-linear-tools");
+    let claim = section.claim(
+        ("circle-linear-tools", Scope::AnyCar, "m"),
+        "Any tool of linear control can be put around the law",
+        "\"any linear system tool can be applied\": with the reference's velocity fed forward two \
+         integrators follow without error",
+        "amplitude and delay are then those of the reference; on the car noise, lags and delays \
+         are left",
+    );
     for (label, plant, tolerance) in plants(["error, ideal", "error, car"], [1e-4 * radius, 0.02]) {
         let value = of(drives, FEED_FORWARD, plant, error);
         claim.number(label, value, near(0.0, tolerance));
@@ -230,20 +227,43 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
     let apart = drives.get(LOST, "car").zip(drives.get("outside", "car"));
     let apart = apart.map(|(lost, seen)| lost.largest_difference(seen));
     section
-        .claim("circle-losses")
+        .claim(
+            ("circle-losses", Scope::RealCar, "m"),
+            "Holding the last pose does little harm on the circle, too",
+            "\"robust to this disturbance as well\", said of the steps; the position traces of the \
+             circle stand still now and then, too: taken as below 0.1 m",
+            "a loss of 200 ms every 5 s, against the same drive without them",
+        )
         .number("car", apart, below(0.1));
     section
-        .claim("circle-carpet")
+        .claim(
+            ("circle-carpet", Scope::RealCar, "m"),
+            "A circle of 1 m is driven on a carpet of 4 m²",
+            "\"a four square meter carpet\", \"a radius of 1 m\": taken as a square, P within 2 m",
+            "P goes round on 0.894 m and leaves 0.1 m; a car that followed the reference itself \
+             would touch the edges, and a start outside of the circle is in a corner or off the \
+             carpet",
+        )
         .number("reference", 2.0 * radius, near(2.0, 1e-9))
         .number("P", 2.0 * reach, below(2.0));
-    let claim = section.claim("circle-satisfactory");
+    let claim = section.claim(
+        ("circle-satisfactory", Scope::Nobody, "m"),
+        "The tracking of the circle is satisfactory",
+        "\"satisfactory tracking performance even with a proportional position control law\"; no \
+         number",
+        "P stays 0.447 m from its reference, nearly half of the radius: r/√(1 + (K/ω)²). With the \
+         reference's velocity fed forward it is zero",
+    );
     for (label, plant, tolerance) in plants(["ideal", "car"], [1e-3, 0.02]) {
         let value = of(drives, "outside", plant, error);
         claim.number(label, value, near(distance, tolerance));
     }
 }
 
-fn plates(drives: &Drives, section: &mut Section) {
+fn plates(setup: &Setup, drives: &Drives, section: &mut Section) {
+    let amplitude_m = setup.amplitude_m();
+    let behind = (TURN_RATE / GAIN).atan();
+    let at = |case, plant, value, unit| told(of(drives, case, plant, value), unit);
     // A picture for each plant.
     let pictures = |what: &str, draw: &dyn Fn(&str) -> Option<Figure>| -> Vec<Picture> {
         let drawn = PLANTS.into_iter().filter_map(|(_, plant, label)| {
@@ -256,32 +276,103 @@ fn plates(drives: &Drives, section: &mut Section) {
     let each = |what: &str, draw: fn(&Run) -> Figure| {
         pictures(what, &|plant| drives.get("outside", plant).map(draw))
     };
-    let trajectories = pictures("trajectory", &|plant| {
-        let runs = drives.of(plant);
-        let runs = runs.filter(|(case, _)| ![FEED_FORWARD, LOST].contains(case));
-        let runs: Vec<&Run> = runs.map(|(_, run)| run).collect();
-        (!runs.is_empty()).then(|| pictures::trajectories(&runs))
-    });
-    section.plate("trajectory", trajectories);
+    section.plate(
+        "Trajectory of P",
+        "Reference and actual path; the car starts outside the circle and converges.",
+        format!(
+            "From everywhere it converges, to a circle of {} on the ideal plant and {} on the car: \
+             the reference's radius over √1.25 ({} m) is what unit-gain proportional control \
+             without feed-forward gives. The car, whose speed, acceleration and steering have \
+             limits, makes detours where the ideal plant turns at once.",
+            at("outside", "ideal", amplitude, "m"),
+            at("outside", "car", amplitude, "m"),
+            with_digits(amplitude_m, 4)
+        ),
+        pictures("trajectory", &|plant| {
+            let runs = drives.of(plant);
+            let runs = runs.filter(|(case, _)| ![FEED_FORWARD, LOST].contains(case));
+            let runs: Vec<&Run> = runs.map(|(_, run)| run).collect();
+            (!runs.is_empty()).then(|| pictures::trajectories(&runs))
+        }),
+    );
     let mut positions = each("position", Run::position);
     positions.extend(drives.get(LOST, "car").map(|run| {
         let label = "car, with marker losses";
         Picture::new("circle-position-lost", label, run.position())
     }));
-    section.plate("position", positions);
-    let lags = pictures("lag", &|plant| lag_figure(drives, plant));
-    section.plate("lag", lags);
-    let velocities = each("commanded-velocity", Run::commanded_velocity);
-    section.plate("commanded-velocity", velocities);
+    section.plate(
+        "Position of P over time",
+        "Sinusoids with a delay between reference and actual position and, as the text says, with \
+         the same amplitude; the delay is put down to the start outside the path.",
+        format!(
+            "The delay is {} on the ideal plant and {} on the car (theory: atan 0.5 = {} rad, or \
+             {} s), and the amplitude is not the same.",
+            at("outside", "ideal", lag, "rad"),
+            at("outside", "car", lag, "rad"),
+            with_digits(behind, 4),
+            with_digits(behind / TURN_RATE, 3)
+        ),
+        positions,
+    );
+    section.plate(
+        "The delay is no effect of the start",
+        "No figure: the text says that the delay comes from starting outside the path.",
+        format!(
+            "P that starts on the path and along it, {BEHIND} rad behind its reference, falls back \
+             to {} as well ({} on the car); with feed-forward P from outside comes to within {} of \
+             its reference ({} on the car).",
+            at("on-the-path", "ideal", lag, "rad"),
+            at("on-the-path", "car", lag, "rad"),
+            at(FEED_FORWARD, "ideal", error, "m"),
+            at(FEED_FORWARD, "car", error, "m")
+        ),
+        pictures("lag", &|plant| lag_figure(drives, plant, behind)),
+    );
+    section.plate(
+        "Velocity commanded of P",
+        "The outputs of the two position regulators.",
+        format!(
+            "After the approach sinusoids of {} m/s: the amplitude times {TURN_RATE} rad/s.",
+            with_digits(amplitude_m * TURN_RATE, 4)
+        ),
+        each("commanded-velocity", Run::commanded_velocity),
+    );
+    // On either plant, at the end.
+    let settled = |value: fn(&Row) -> f64, unit: &str| {
+        ["ideal", "car"].map(|plant| {
+            let run = drives.get("outside", plant);
+            told(run.and_then(|run| run.rows.last()).map(value), unit)
+        })
+    };
+    let [steering, car_steering] = settled(|row| row.steering, "rad");
+    let [speed, car_speed] = settled(|row| row.speed, "m/s");
     let mut outputs = each("steering", Run::steering);
     outputs.extend(each("speed", Run::speed));
-    section.plate("outputs", outputs);
-    let sideslip = each("sideslip-yaw-rate", Run::sideslip_and_yaw_rate);
-    section.plate("sideslip", sideslip);
+    section.plate(
+        "Outputs of the law",
+        "Steering and reference speed from the law, and the car's speed.",
+        format!(
+            "On the ideal plant and on the car the steering settles on {steering} and \
+             {car_steering}, the speed on {speed} and {car_speed}."
+        ),
+        outputs,
+    );
+    let [sideslip, car_sideslip] = settled(|row| row.sideslip, "rad");
+    let [yaw_rate, car_yaw_rate] = settled(|row| row.yaw_rate, "rad/s");
+    section.plate(
+        "Sideslip angle and yaw rate",
+        "The measured sideslip angle and yaw rate.",
+        format!(
+            "On the ideal plant and on the car the sideslip settles on {sideslip} and \
+             {car_sideslip}, the yaw rate on {yaw_rate} and {car_yaw_rate}: the car turns as fast \
+             as the reference."
+        ),
+        each("sideslip-yaw-rate", Run::sideslip_and_yaw_rate),
+    );
 }
 
 /// The lag of P over time, for the starts outside and on the path.
-fn lag_figure(drives: &Drives, plant: &str) -> Option<Figure> {
+fn lag_figure(drives: &Drives, plant: &str, lag: f64) -> Option<Figure> {
     let mut curves = Vec::new();
     for (case, legend, look) in [
         ("outside", "start outside", Look::Actual),
@@ -290,7 +381,7 @@ fn lag_figure(drives: &Drives, plant: &str) -> Option<Figure> {
         let run = drives.get(case, plant)?;
         let time = run.column(|row| row.t);
         if curves.is_empty() {
-            let theory = run.column(|_| (TURN_RATE / GAIN).atan());
+            let theory = run.column(|_| lag);
             curves.push(Curve::new("atan 0.5", Look::Nominal, &time, theory));
         }
         let behind = run.column(|row| {

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Serialize, Serializer};
 
 use super::text::number;
 
@@ -89,11 +89,9 @@ impl Quantity {
 }
 
 /// The cars that a claim is about.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scope {
     /// It follows from the equations and holds for every car.
-    #[default]
     AnyCar,
     /// The number holds for the paper's car.
     PaperCar,
@@ -103,23 +101,6 @@ pub(super) enum Scope {
     Nobody,
 }
 
-/// What is said of a claim, beside its numbers.
-#[derive(Clone, Debug, Default, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct ClaimWords {
-    /// The cars that have a verdict.
-    #[serde(skip_serializing)]
-    pub(super) scope: Scope,
-    pub(super) claim: String,
-    /// The paper's words.
-    pub(super) paper: String,
-    /// The unit of its numbers.
-    #[serde(default)]
-    pub(super) unit: String,
-    /// Why it agrees, or does not.
-    pub(super) why: String,
-}
-
 /// A statement of the paper, and the verdict on it once it is judged.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Claim {
@@ -127,12 +108,20 @@ pub(super) struct Claim {
     pub(super) id: &'static str,
     /// The number of the section that measures it.
     pub(super) section: usize,
-    #[serde(flatten)]
-    pub(super) words: ClaimWords,
+    /// The cars that have a verdict.
+    #[serde(skip)]
+    pub(super) scope: Scope,
+    pub(super) claim: String,
+    /// The paper's words.
+    pub(super) paper: String,
+    /// The unit of its numbers.
+    pub(super) unit: &'static str,
     /// The numbers that decide it. All must agree.
     #[serde(rename = "measured")]
     pub(super) quantities: Vec<Quantity>,
     pub(super) verdict: Verdict,
+    /// Why it agrees, or does not.
+    pub(super) why: String,
     /// Why the verdict is not the expected one; `None` if it is.
     pub(super) surprise: Option<String>,
 }
@@ -197,7 +186,7 @@ impl Claim {
 
     /// Gives the verdict on its numbers; `paper_car` if they are of the paper's car.
     pub(super) fn judge(&mut self, paper_car: bool) {
-        let comparable = match self.words.scope {
+        let comparable = match self.scope {
             Scope::AnyCar => true,
             Scope::PaperCar | Scope::RealCar => paper_car,
             Scope::Nobody => false,
@@ -207,24 +196,22 @@ impl Claim {
         self.verdict = match (comparable, lacking) {
             (false, _) => Verdict::NotComparable,
             (true, Some(_)) => Verdict::NotMeasured,
-            (true, None) if quantities.all(|one| one.meets(one.agrees_if)) => {
-                match self.words.scope {
-                    Scope::RealCar => Verdict::AgreesInSimulation,
-                    _ => Verdict::Agrees,
-                }
-            }
+            (true, None) if quantities.all(|one| one.meets(one.agrees_if)) => match self.scope {
+                Scope::RealCar => Verdict::AgreesInSimulation,
+                _ => Verdict::Agrees,
+            },
             (true, None) => Verdict::Differs,
         };
         self.surprise = match lacking {
             // Another car may not be able to run every experiment of the paper's car.
-            Some(_) if !paper_car && self.words.scope != Scope::AnyCar => None,
+            Some(_) if !paper_car && self.scope != Scope::AnyCar => None,
             Some(Quantity { label, .. }) => Some(format!(
                 "{label} was not measured: see the notes of section {}",
                 self.section
             )),
             None if comparable => {
                 let mut quantities = self.quantities.iter();
-                quantities.find_map(|quantity| quantity.surprise(&self.words.unit))
+                quantities.find_map(|quantity| quantity.surprise(self.unit))
             }
             None => None,
         };
@@ -246,8 +233,9 @@ mod tests {
         scope: Scope,
         paper_car: bool,
     ) -> (Verdict, bool) {
-        let mut section = Section::with_claim(3, scope, "The amplitude");
-        let claim = section.claim("claim");
+        let mut section = Section::new(3, "", "");
+        let name = ("amplitude", scope, "m");
+        let claim = section.claim(name, "The amplitude", "1 m", "");
         claim.number("ideal", value, ONE);
         claim.quantities[0].should_be = should_be;
         claim.judge(paper_car);
@@ -312,8 +300,9 @@ mod tests {
             (Some(0.5), Verdict::Differs, "car 0.5 m should be"),
             (None, Verdict::NotMeasured, "car was not measured"),
         ] {
-            let mut section = Section::with_claim(3, Scope::AnyCar, "The amplitude");
-            let claim = section.claim("claim");
+            let mut section = Section::new(3, "", "");
+            let name = ("amplitude", Scope::AnyCar, "m");
+            let claim = section.claim(name, "The amplitude", "1 m", "");
             claim.number("ideal", 1.0, ONE).number("car", car, ONE);
             claim.judge(true);
             assert_eq!(claim.verdict, wanted);

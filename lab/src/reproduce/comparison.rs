@@ -7,16 +7,17 @@ use singletrack_control::{
     Motion, SingleTrack, SingleTrackState, VehicleParameters, Velocity, VelocityPointLaw,
 };
 use singletrack_core::config::LawKind;
-use singletrack_figures::figure::Figure;
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel};
 
 use super::{
     Setup, assumptions,
-    claims::{above, below, near},
+    claims::{Scope, above, below, near},
+    diagrams,
     drive::{Drives, Experiment, Run},
-    largest,
-    section::{Measure, Picture, Section},
+    largest, pictures,
+    section::{Picture, Section},
     steps,
-    text::{metres, mm, number},
+    text::{metres, mm, number, told, with_digits},
 };
 use crate::table::Table;
 
@@ -25,8 +26,8 @@ const DEVIATION_M: f64 = 0.01;
 /// Relative error of the wrong masses and stiffnesses.
 const WRONG: f64 = 0.2;
 
-/// Mass and stiffnesses.
-const PARAMETERS: [&str; 3] = ["mass", "front", "rear"];
+/// Mass and stiffnesses: the symbol in a figure, and the name.
+const PARAMETERS: [(&str, &str); 3] = [("$m$", "mass"), ("$C_f$", "front"), ("$C_r$", "rear")];
 
 fn scaled(vehicle: VehicleParameters, parameter: &str, factor: f64) -> VehicleParameters {
     let mut scaled = vehicle;
@@ -47,8 +48,17 @@ const LAWS: [(LawKind, &str, &str); 2] = [
 /// A parameter is believed too low or too high.
 const FACTORS: [(&str, f64); 2] = [("low", 1.0 - WRONG), ("high", 1.0 + WRONG)];
 
-pub(super) fn section(setup: &Setup, section: &mut Section, progress: &ProgressBar) {
+pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let deviation = DEVIATION_M * setup.scale();
+    let intro = format!(
+        "The open-loop steps of section 2 on the ideal plant under both laws: with everything \
+         right, with the centre of mass believed {} behind its place, and with mass and \
+         cornering stiffnesses believed {} % wrong. The simulated car is not driven under the \
+         appendix's law: its pilot has only the proposed one.",
+        mm(deviation),
+        number(WRONG * 100.0)
+    );
+    let mut section = Section::new(7, "The two laws compared", intro);
     let mut drives = Drives::default();
     let mut drive = |case: &str, (law, kind, name): (_, _, &str), deviation, believed| {
         let name = format!("{name}, dl = {}", mm(deviation));
@@ -66,7 +76,7 @@ pub(super) fn section(setup: &Setup, section: &mut Section, progress: &ProgressB
         }
     }
     let [_, appendix] = LAWS;
-    for parameter in PARAMETERS {
+    for (_, parameter) in PARAMETERS {
         for (sign, factor) in FACTORS {
             let believed = scaled(setup.vehicle, parameter, factor);
             let case = format!("{parameter}-{sign}");
@@ -85,7 +95,7 @@ pub(super) fn section(setup: &Setup, section: &mut Section, progress: &ProgressB
     let worst = is_complete.then(|| largest(worst.into_iter()));
     // The proposed law uses none of them: only the car can differ.
     let mut front = 0.0_f64;
-    for parameter in PARAMETERS {
+    for (_, parameter) in PARAMETERS {
         for (_, factor) in FACTORS {
             let other = Setup {
                 vehicle: scaled(setup.vehicle, parameter, factor),
@@ -99,26 +109,11 @@ pub(super) fn section(setup: &Setup, section: &mut Section, progress: &ProgressB
     }
     let stiffnesses = stiffnesses(setup);
     let off = [Some(front), worst];
-    facts(setup, &drives, section);
-    claims(setup, &drives, off, &stiffnesses, section);
-    plates(setup, &drives, section);
+    claims(setup, &drives, off, &stiffnesses, &mut section);
+    plates(setup, &drives, &mut section);
+    parameter_plate(&drives, off, &stiffnesses, &mut section);
     section.table("compare-stiffnesses", stiffnesses);
-}
-
-/// What the words of this section name.
-fn facts(setup: &Setup, drives: &Drives, section: &mut Section) {
-    section.fact("dl", mm(DEVIATION_M * setup.scale()));
-    section.fact("wrong", number(WRONG * 100.0));
-    let ended = drives.get("deviation", "velocity-point");
-    let ended = ended.and_then(|run| run.ended.as_ref());
-    let ended = ended.map_or_else(String::new, |ended| format!(", and {ended}"));
-    section.fact("ended", ended);
-    let measures: [Measure; 2] = [
-        ("deviation", |run| Some(run.largest_deviation()), "m"),
-        ("steering", |run| Some(run.steepest()), "rad"),
-    ];
-    let laws = LAWS.map(|(_, law, _)| law);
-    section.measured(drives, (&["right", "deviation"], &laws), &measures);
+    section
 }
 
 /// The largest deviation of a drive, in m.
@@ -135,38 +130,92 @@ fn claims(
     section: &mut Section,
 ) {
     let dl = DEVIATION_M * setup.scale();
+    let percent = number(WRONG * 100.0);
     let unstable = unstable(stiffnesses) as f64;
     let under = |case| LAWS.map(|(_, law, _)| off(drives, case, law));
     let [right, wrong] = ["right", "deviation"].map(under);
     let [proposed, appendix] = standstill(setup).map(|answers| f64::from(u8::from(answers)));
     section
-        .claim("compare-standstill")
+        .claim(
+            ("compare-standstill", Scope::AnyCar, ""),
+            "The appendix's law is singular at standstill, the proposed one is not",
+            "\"singular when the vehicle velocity is equal to zero\"; answers (1) or not (0): 1 \
+             and 0",
+            "v = 0 divides the yaw rate in equation 11; equation 8 has no v below a line",
+        )
         .number("proposed", proposed, near(1.0, 0.0))
         .number("appendix's", appendix, near(0.0, 0.0));
     section
-        .claim("compare-right")
+        .claim(
+            ("compare-right", Scope::AnyCar, "m"),
+            "With everything right both laws linearise their point exactly",
+            "equations 7 and 11: deviation 0",
+            "the open-loop steps on the ideal plant",
+        )
         .number("proposed", right[0], near(0.0, 1e-6))
         .number("appendix's", right[1], near(0.0, 1e-6));
     section
-        .claim("compare-wrong-proposed")
+        .claim(
+            ("compare-wrong-proposed", Scope::AnyCar, "m"),
+            format!("The proposed law takes dl = {}", mm(dl)),
+            "robust: at most 2 dl",
+            "2 |dl sin(Δψ/2)|",
+        )
         .number("proposed", wrong[0], below(2.000_002 * dl));
-    section.claim("compare-wrong-appendix").number(
-        "appendix's",
-        wrong[1],
-        above(setup.vehicle.wheelbase_m()),
-    );
     section
-        .claim("compare-parameters")
+        .claim(
+            ("compare-wrong-appendix", Scope::PaperCar, "m"),
+            format!("The appendix's law does not take dl = {}", mm(dl)),
+            "\"unsuitable in real cases\"; taken as off by more than a wheelbase on the same \
+             steps",
+            "at these speeds the motion is unstable with 10 mm: the steering diverges at the \
+             first turn, until the speed is zero and the law has no answer",
+        )
+        .number("appendix's", wrong[1], above(setup.vehicle.wheelbase_m()));
+    section
+        .claim(
+            ("compare-parameters", Scope::AnyCar, "m"),
+            "The proposed law depends on no parameter but the position of the centre of mass",
+            format!(
+                "\"does not depend on any model parameter\": deviation 0 on cars with m, C_f \
+                     or C_r {percent} % different"
+            ),
+            "it uses none of them",
+        )
         .number("proposed", parameters[0], near(0.0, 1e-6));
     section
-        .claim("compare-parameters-appendix")
+        .claim(
+            ("compare-parameters-appendix", Scope::PaperCar, "m"),
+            "The appendix's law does depend on them",
+            format!(
+                "\"requires an estimate of vehicle parameters\": off with m, C_f or C_r \
+                     {percent} % wrong; taken as by more than 10 mm"
+            ),
+            "the worst of the six; the motion stays stable, but P is not where it should be",
+        )
         .number("appendix's", parameters[1], above(0.01));
     section
-        .claim("compare-stiffnesses")
+        .claim(
+            ("compare-stiffnesses", Scope::PaperCar, ""),
+            "Its stability is robust to wrong cornering stiffnesses",
+            format!(
+                "\"robust with respect to uncertainties on C_f and C_r\": no unstable case \
+                     with ±{percent} %"
+            ),
+            "nine speeds from 0.1 to 8 m/s, nine combinations, Hurwitz' criterion",
+        )
         .number("unstable of 81", unstable, near(0.0, 0.0));
     let apart = assumptions::measured_point(setup);
     section
-        .claim("parameter-is-a-distance")
+        .claim(
+            ("parameter-is-a-distance", Scope::AnyCar, "m/s, rad/s"),
+            "The law's only parameter is the position of the centre of mass",
+            "\"apart from the position of the center of mass\": another point gives other \
+             commands",
+            "it depends on less: on the distance of the front axle from the point to which pose \
+             and sideslip refer. Any point of the axis gives the same commands; the centre of \
+             mass need not be known",
+        )
         .number("commands differ by", apart, near(0.0, 1e-9));
 }
 
@@ -269,9 +318,96 @@ fn plates(setup: &Setup, drives: &Drives, section: &mut Section) {
         }
         pictures
     };
+    section.plate(
+        "Position of P for the alternative law",
+        "A drawing of the point P of the appendix's law.",
+        "The same, of this car, to scale, beside that of the proposed law.",
+        vec![diagrams::points(setup)],
+    );
     let mut steps = pictures("right", "right", "dl = 0", Run::trajectory);
     steps.extend(pictures("deviation", "deviation", &wrong, Run::trajectory));
-    section.plate("steps", steps);
-    let steering = pictures("steering", "deviation", &wrong, Run::steering);
-    section.plate("steering", steering);
+    let ended = drives.get("deviation", "velocity-point");
+    let ended = ended.and_then(|run| run.ended.as_ref());
+    section.plate(
+        "The steps under both laws",
+        "No experiment: the appendix compares the laws by their equations and by their stability, \
+         and calls its own unsuitable in real cases.",
+        format!(
+            "With everything right both follow their nominal paths ({} and {} off at most). With \
+             the centre of mass {} wrong the proposed law is {} off at most; under the appendix's \
+             law P is {} off at most{}.",
+            told(off(drives, "right", "front-point"), "m"),
+            told(off(drives, "right", "velocity-point"), "m"),
+            mm(deviation),
+            told(off(drives, "deviation", "front-point"), "m"),
+            told(off(drives, "deviation", "velocity-point"), "m"),
+            ended.map_or_else(String::new, |ended| format!(", and {ended}"))
+        ),
+        steps,
+    );
+    let steepest = |law: &str| {
+        drives.get("deviation", law).map_or_else(
+            || "(not driven)".to_owned(),
+            |run| format!("{} rad", with_digits(run.steepest(), 3)),
+        )
+    };
+    section.plate(
+        "Steering under both laws",
+        "No figure.",
+        format!(
+            "At its largest it is {} under the proposed law and {} under the appendix's.",
+            steepest("front-point"),
+            steepest("velocity-point")
+        ),
+        pictures("steering", "deviation", &wrong, Run::steering),
+    );
+}
+
+/// The deviation of P with wrong parameters, over time.
+fn parameter_plate(
+    drives: &Drives,
+    [proposed, appendix]: [Option<f64>; 2],
+    stiffnesses: &Table,
+    section: &mut Section,
+) {
+    let looks = [("too low", Look::Actual), ("too high", Look::Truth)];
+    let panels = PARAMETERS.into_iter().filter_map(|(symbol, parameter)| {
+        let curves = FACTORS.into_iter().zip(looks);
+        let curves: Vec<Curve> = curves
+            .filter_map(|((sign, _), (name, look))| {
+                let run = drives.get(&format!("{parameter}-{sign}"), "velocity-point")?;
+                let time = run.column(|row| row.t);
+                Some(Curve::new(name, look, &time, run.deviations().collect()))
+            })
+            .collect();
+        (!curves.is_empty()).then(|| Panel {
+            title: symbol.to_owned(),
+            curves,
+            ..Panel::new(Axis::TIME, pictures::DEVIATION)
+        })
+    });
+    let figure = Figure::page(
+        "Deviation of P under the appendix's law with a wrong parameter",
+        "How far P is from where two integrators would be.",
+        panels.collect(),
+    );
+    section.plate(
+        "What a wrong parameter does under the appendix's law",
+        "No figure: the text says that the law needs mass and cornering stiffnesses, and that its \
+         stability is robust to wrong stiffnesses.",
+        format!(
+            "With one of them {} % wrong P is up to {} off; the proposed law, which is not told \
+             them, stays within {} on cars whose m, C<sub>f</sub> or C<sub>r</sub> is as much \
+             different. Of {} combinations of speed and wrong stiffnesses {} unstable.",
+            number(WRONG * 100.0),
+            told(appendix, "m"),
+            told(proposed, "m"),
+            stiffnesses.rows.len(),
+            match unstable(stiffnesses) {
+                0 => "none is".to_owned(),
+                count => format!("{count} are"),
+            }
+        ),
+        vec![Picture::new("compare-parameters", "", figure)],
+    );
 }

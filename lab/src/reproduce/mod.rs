@@ -5,6 +5,7 @@ mod assumptions;
 mod circle;
 mod claims;
 mod comparison;
+mod diagrams;
 mod drive;
 mod model;
 mod output;
@@ -61,7 +62,7 @@ pub fn run(args: &ReproduceArgs) -> Result {
         setup.name = format!("the car of {}", path.display());
     }
     output::prepare(&args.out)?;
-    let reproduction = reproduce(setup)?;
+    let reproduction = reproduce(setup);
     let report = output::write(&args.out, &reproduction)?;
     output::print(&reproduction, &report);
     match surprises(reproduction.claims()) {
@@ -95,29 +96,23 @@ impl Reproduction {
     }
 }
 
-/// Fills a section of the report.
-type Part = fn(&Setup, &mut Section, &ProgressBar);
-
 /// Computes everything; shows progress on a terminal.
-fn reproduce(setup: Setup) -> Result<Reproduction> {
-    let parts: [(&str, Part); 8] = [
-        ("model", model::section),
-        ("steps", steps::section),
-        ("circle", circle::section),
-        ("proposed", stability::proposed),
-        ("eigenvalues", stability::eigenvalues),
-        ("appendix", stability::appendix),
-        ("comparison", comparison::section),
-        ("sampled", sampled::section),
+fn reproduce(setup: Setup) -> Reproduction {
+    let parts: [fn(&Setup, &ProgressBar) -> Section; 8] = [
+        model::section,
+        steps::section,
+        circle::section,
+        stability::proposed,
+        stability::eigenvalues,
+        stability::appendix,
+        comparison::section,
+        sampled::section,
     ];
-    let mut words = section::words()?;
     let progress = progress_bar(parts.len() as u64, "{bar:24} {pos}/{len}  {wide_msg}");
     progress.enable_steady_tick(Duration::from_millis(200));
     let mut sections = Vec::new();
-    for (number, (name, part)) in (1..).zip(parts) {
-        let mut section = Section::new(number, words.remove(name).unwrap_or_default());
-        part(&setup, &mut section, &progress);
-        section.words.intro = section.with_facts(&section.words.intro);
+    for part in parts {
+        let mut section = part(&setup, &progress);
         for claim in &mut section.claims {
             claim.judge(setup.is_paper());
         }
@@ -125,7 +120,7 @@ fn reproduce(setup: Setup) -> Result<Reproduction> {
         progress.inc(1);
     }
     progress.finish_and_clear();
-    Ok(Reproduction { setup, sections })
+    Reproduction { setup, sections }
 }
 
 /// Wheelbase of the paper's car, in m, for which its experiments are sized.

@@ -19,9 +19,9 @@ use super::{
     claims::{Claim, Verdict},
     section::{Plate, Section},
     surprises,
-    text::{metres, number, with_digits},
+    text::{number, with_digits},
 };
-use crate::{Result, vehicle_file};
+use crate::Result;
 
 /// The names of the files.
 const REPORT: &str = "report.html";
@@ -160,16 +160,16 @@ fn csv<'a>(claims: impl Iterator<Item = &'a Claim>) -> String {
             rows.push([
                 claim.id.to_owned(),
                 claim.section.to_string(),
-                claim.words.claim.clone(),
-                claim.words.paper.clone(),
+                claim.claim.clone(),
+                claim.paper.clone(),
                 quantity.label.to_owned(),
                 value.unwrap_or_default(),
-                claim.words.unit.clone(),
+                claim.unit.to_owned(),
                 quantity.agrees_if.to_string(),
                 should_be.unwrap_or_default(),
                 claim.verdict.name().to_owned(),
                 expected.to_owned(),
-                claim.words.why.clone(),
+                claim.why.clone(),
             ]);
         }
     }
@@ -186,7 +186,7 @@ pub(super) fn print(reproduction: &Reproduction, report: &Path) {
             "{mark} {:12}  {}. {}\n",
             claim.verdict.name(),
             claim.section,
-            claim.words.claim
+            claim.claim
         );
         text += &format!("{:18}{}\n", "", measured(claim).join("; "));
         if let Some(surprise) = &claim.surprise {
@@ -234,13 +234,9 @@ fn measured(claim: &Claim) -> Vec<String> {
         .map(|super::claims::Quantity { label, value, .. }| match value {
             None => format!("{label}: none"),
             // No line break between number and unit.
-            Some(value) => format!(
-                "{label}: {}\u{a0}{}",
-                with_digits(*value, 4),
-                claim.words.unit
-            )
-            .trim_end()
-            .to_owned(),
+            Some(value) => format!("{label}: {}\u{a0}{}", with_digits(*value, 4), claim.unit)
+                .trim_end()
+                .to_owned(),
         })
         .collect()
 }
@@ -252,15 +248,15 @@ fn markdown<'a>(claims: impl Iterator<Item = &'a Claim>) -> String {
             .to_owned();
     for claim in claims {
         let mut verdict = claim.verdict.name().to_owned();
-        let mut why = claim.words.why.clone();
+        let mut why = claim.why.clone();
         if let Some(surprise) = &claim.surprise {
             verdict = format!("! {verdict}");
             why = format!("UNEXPECTED: {surprise}. {why}");
         }
         let cells = [
             claim.section.to_string(),
-            claim.words.claim.clone(),
-            claim.words.paper.clone(),
+            claim.claim.clone(),
+            claim.paper.clone(),
             measured(claim).join("; "),
             verdict,
             why,
@@ -274,7 +270,6 @@ fn markdown<'a>(claims: impl Iterator<Item = &'a Claim>) -> String {
 /// The report of a reproduction: one self-contained file.
 fn report(reproduction: &Reproduction) -> String {
     let sections = &reproduction.sections;
-    let vehicle = vehicle_file::text(reproduction.setup.vehicle).unwrap_or_default();
     format!(
         include_str!("report/page.html"),
         style = singletrack_figures::plot::STYLE,
@@ -284,8 +279,7 @@ fn report(reproduction: &Reproduction) -> String {
         contents = sections.iter().map(entry).collect::<String>(),
         claims = reproduction.claims().map(row).collect::<String>(),
         sections = sections.iter().map(body).collect::<String>(),
-        vehicle = escaped(&vehicle),
-        p = metres(reproduction.setup.point_distance_m())
+        vehicle = vehicle(reproduction)
     )
 }
 
@@ -319,7 +313,7 @@ fn entry(section: &Section) -> String {
     format!(
         "<li value=\"{0}\"><a href=\"#section-{0}\">{1}</a></li>\n",
         section.number,
-        escaped(&section.words.title)
+        escaped(section.title)
     )
 }
 
@@ -365,11 +359,11 @@ fn row(claim: &Claim) -> String {
         claim.id,
         claim.section,
         claim.section,
-        typeset(&claim.words.claim),
-        typeset(&claim.words.paper),
+        typeset(&claim.claim),
+        typeset(&claim.paper),
         measured.join("<br>"),
         claim.verdict.name(),
-        typeset(&claim.words.why)
+        typeset(&claim.why)
     )
 }
 
@@ -378,9 +372,9 @@ fn body(section: &Section) -> String {
         "<section id=\"section-{}\">\n<h2>{}. {}</h2>\n",
         section.number,
         section.number,
-        escaped(&section.words.title)
+        escaped(section.title)
     );
-    html += &format!("<p>{}</p>\n", section.words.intro);
+    html += &format!("<p>{}</p>\n", section.intro);
     for note in &section.notes {
         html += &format!("<p class=\"note\">{}</p>\n", escaped(note));
     }
@@ -392,7 +386,7 @@ fn body(section: &Section) -> String {
                 "<li class=\"{}\"><a href=\"#{}\">{}</a>: <span class=\"verdict\">{}</span></li>",
                 class(claim),
                 claim.id,
-                typeset(&claim.words.claim),
+                typeset(&claim.claim),
                 claim.verdict.name()
             )
         })
@@ -415,16 +409,15 @@ fn body(section: &Section) -> String {
 }
 
 fn framed(plate: &Plate) -> String {
-    let words = &plate.words;
     if plate.pictures.is_empty() {
         return format!(
             "<h3>{}</h3>\n<p><b>The paper.</b> {}</p>\n<p><b>Ours.</b> {}</p>\n",
-            words.title, words.paper, words.ours
+            plate.title, plate.paper, plate.ours
         );
     }
     let mut html = format!(
         "<figure class=\"plate\">\n<h3>{}</h3>\n<div class=\"pictures{}\">\n",
-        words.title,
+        plate.title,
         if plate.pictures.len() == 3 {
             " three"
         } else {
@@ -441,9 +434,38 @@ fn framed(plate: &Plate) -> String {
     }
     html += &format!(
         "</div>\n<figcaption><p><b>The paper.</b> {}</p>\n<p><b>Ours.</b> {}</p></figcaption>\n</figure>\n",
-        words.paper, words.ours
+        plate.paper, plate.ours
     );
     html
+}
+
+fn vehicle(reproduction: &Reproduction) -> String {
+    let car = &reproduction.setup.vehicle;
+    let [c_f, c_r] = [
+        car.front_cornering_stiffness_n_rad,
+        car.rear_cornering_stiffness_n_rad,
+    ];
+    let [l_f, l_r] = [car.front_axle_distance_m, car.rear_axle_distance_m];
+    let p = reproduction.setup.point_distance_m();
+    [
+        ("mass m", car.mass_kg, "kg"),
+        ("yaw moment of inertia I_z", car.yaw_inertia_kg_m2, "kg m²"),
+        ("centre of mass to front axle l_f", l_f, "m"),
+        ("centre of mass to rear axle l_r", l_r, "m"),
+        ("friction μ", car.friction, ""),
+        ("cornering stiffness, front C_f", c_f, "N/rad"),
+        ("cornering stiffness, rear C_r", c_r, "N/rad"),
+        ("distance p of P from the front axle", p, "m"),
+    ]
+    .iter()
+    .map(|(name, value, unit)| {
+        format!(
+            "<tr><th scope=\"row\">{}</th><td>{} {unit}</td></tr>\n",
+            typeset(name),
+            with_digits(*value, 6)
+        )
+    })
+    .collect()
 }
 
 #[cfg(test)]
@@ -453,7 +475,6 @@ mod tests {
         reproduce::{
             Setup,
             claims::{Scope, near},
-            section::SectionWords,
         },
         table::Table,
     };
@@ -491,7 +512,7 @@ mod tests {
             let table = Table::of("t", &[serde_json::json!({ "t": 1.0 })]);
             (name.to_owned(), table)
         };
-        let mut section = Section::new(2, SectionWords::default());
+        let mut section = Section::new(2, "", "");
         section.tables = vec![table("one"), table("two")];
         Reproduction {
             setup: Setup::paper(),
@@ -523,8 +544,13 @@ mod tests {
 
     #[test]
     fn a_bar_in_a_cell_is_no_border_in_markdown() {
-        let mut section = Section::with_claim(2, Scope::AnyCar, "2 |dl|");
-        let claim = section.claim("claim");
+        let mut section = Section::new(2, "", "");
+        let claim = section.claim(
+            ("deviation", Scope::AnyCar, "m"),
+            "2 |dl|",
+            "none",
+            "it is so",
+        );
         claim.judge(true);
         let table = markdown([&*claim].into_iter());
         assert!(
@@ -535,8 +561,13 @@ mod tests {
 
     #[test]
     fn an_unexpected_verdict_is_counted_and_marked() {
-        let mut section = Section::with_claim(2, Scope::AnyCar, "The deviation");
-        let claim = section.claim("claim");
+        let mut section = Section::new(2, "", "");
+        let claim = section.claim(
+            ("deviation", Scope::AnyCar, "m"),
+            "The deviation",
+            "1 m",
+            "it is so",
+        );
         claim.number("ideal", 2.0, near(1.0, 0.1)).judge(true);
         let mut reproduction = reproduction();
         reproduction.sections.push(section);

@@ -1,66 +1,25 @@
 //! A section of the report, which its experiments and analyses write.
 
-use std::{collections::BTreeMap, fmt::Display};
+use std::fmt::Display;
 
-use serde::Deserialize;
 use singletrack_figures::figure::Figure;
 use singletrack_scenario::simulate::PlantKind;
 
 use super::{
     Setup,
-    claims::{Claim, ClaimWords, Verdict},
-    drive::{Drives, Experiment, Run},
-    text::told,
+    claims::{Claim, Scope, Verdict},
+    drive::{Experiment, Run},
 };
 use crate::{Result, table::Table};
 
-/// A number of a drive: its name, how it is measured, and its unit.
-pub(super) type Measure = (&'static str, fn(&Run) -> Option<f64>, &'static str);
-
-/// The words of the report, by section.
-pub(super) type Words = BTreeMap<String, SectionWords>;
-
-/// The words of a section; a name in braces stands for one of its facts.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct SectionWords {
-    pub(super) title: String,
-    /// Its text, in HTML.
-    pub(super) intro: String,
-    pub(super) claims: BTreeMap<String, ClaimWords>,
-    #[serde(default)]
-    pub(super) plates: BTreeMap<String, PlateWords>,
-}
-
-/// The words beside pictures that belong together.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct PlateWords {
-    /// Their subject.
-    pub(super) title: String,
-    /// What the paper's figure shows, in HTML.
-    pub(super) paper: String,
-    /// What ours shows, in HTML.
-    pub(super) ours: String,
-}
-
-/// The words of the report, without facts.
-///
-/// # Errors
-///
-/// Words that are not of this form.
-pub(super) fn words() -> Result<Words> {
-    Ok(toml::from_str(include_str!("report/words.toml"))?)
-}
-
 /// A section of the report, with everything that was computed for it.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Section {
     /// Its number, from 1.
     pub(super) number: usize,
-    pub(super) words: SectionWords,
-    /// What was computed for its words, by name.
-    facts: BTreeMap<String, String>,
+    pub(super) title: &'static str,
+    /// Its text, in HTML.
+    pub(super) intro: String,
     pub(super) plates: Vec<Plate>,
     /// The data behind the pictures, each with the name of its file, without the ending.
     pub(super) tables: Vec<(String, Table)>,
@@ -72,7 +31,12 @@ pub(super) struct Section {
 /// Pictures that belong together, beside the paper's.
 #[derive(Clone, Debug)]
 pub(super) struct Plate {
-    pub(super) words: PlateWords,
+    /// Their subject, in a few words.
+    pub(super) title: String,
+    /// What the paper's figure shows, in HTML.
+    pub(super) paper: String,
+    /// What ours shows, in HTML.
+    pub(super) ours: String,
     pub(super) pictures: Vec<Picture>,
 }
 
@@ -97,64 +61,37 @@ impl Picture {
 }
 
 impl Section {
-    /// With these words and without content.
-    pub(super) fn new(number: usize, words: SectionWords) -> Self {
+    pub(super) fn new(number: usize, title: &'static str, intro: impl Into<String>) -> Self {
         Self {
             number,
-            words,
-            ..Self::default()
+            title,
+            intro: intro.into(),
+            plates: Vec::new(),
+            tables: Vec::new(),
+            claims: Vec::new(),
+            notes: Vec::new(),
         }
     }
 
-    /// Notes a fact for the words that are said after it.
-    pub(super) fn fact(&mut self, name: impl Into<String>, value: impl Into<String>) {
-        self.facts.insert(name.into(), value.into());
-    }
-
-    /// Notes facts.
-    pub(super) fn facts<const N: usize>(&mut self, facts: [(&str, String); N]) {
-        for (name, fact) in facts {
-            self.fact(name, fact);
-        }
-    }
-
-    /// Notes the numbers of these cases and kinds of drives as facts, by names such as `lag outside car`.
-    pub(super) fn measured(
+    /// Adds a claim with this name about these cars, without numbers yet, but with their unit: what the
+    /// paper says, in its words, and why it is so or not.
+    pub(super) fn claim(
         &mut self,
-        drives: &Drives,
-        (cases, kinds): (&[&str], &[&str]),
-        measures: &[Measure],
-    ) {
-        for case in cases {
-            for kind in kinds {
-                for (name, measure, unit) in measures {
-                    let value = drives.get(case, kind).and_then(measure);
-                    self.fact(format!("{name} {case} {kind}"), told(value, unit));
-                }
-            }
-        }
-    }
-
-    /// The text with the facts in the places of their names.
-    pub(super) fn with_facts(&self, text: &str) -> String {
-        let facts = self.facts.iter();
-        facts.fold(text.to_owned(), |text, (name, fact)| {
-            text.replace(&format!("{{{name}}}"), fact)
-        })
-    }
-
-    /// Adds the claim with this name, without numbers yet.
-    pub(super) fn claim(&mut self, id: &'static str) -> &mut Claim {
-        let mut words = self.words.claims.remove(id).unwrap_or_default();
-        for text in [&mut words.claim, &mut words.paper, &mut words.why] {
-            *text = self.with_facts(text);
-        }
+        (id, scope, unit): (&'static str, Scope, &'static str),
+        claim: impl Into<String>,
+        paper: impl Into<String>,
+        why: impl Into<String>,
+    ) -> &mut Claim {
         self.claims.push(Claim {
             id,
             section: self.number,
-            words,
+            scope,
+            claim: claim.into(),
+            paper: paper.into(),
+            unit,
             quantities: Vec::new(),
             verdict: Verdict::NotMeasured,
+            why: why.into(),
             surprise: None,
         });
         let last = self.claims.len() - 1;
@@ -166,11 +103,19 @@ impl Section {
         self.tables.push((name.into(), table));
     }
 
-    /// Adds the plate with this name.
-    pub(super) fn plate(&mut self, name: &str, pictures: Vec<Picture>) {
-        let mut words = self.words.plates.remove(name).unwrap_or_default();
-        words.ours = self.with_facts(&words.ours);
-        self.plates.push(Plate { words, pictures });
+    pub(super) fn plate(
+        &mut self,
+        title: impl Into<String>,
+        paper: &str,
+        ours: impl Into<String>,
+        pictures: Vec<Picture>,
+    ) {
+        self.plates.push(Plate {
+            title: title.into(),
+            paper: paper.to_owned(),
+            ours: ours.into(),
+            pictures,
+        });
     }
 
     /// The result, or a note on its error.
@@ -203,24 +148,5 @@ impl Section {
             self.notes.push(format!("{what}: {ended}"));
         }
         Some(run)
-    }
-}
-
-#[cfg(test)]
-impl Section {
-    /// With the words of a claim of the name `claim`, about these cars, in m.
-    pub(super) fn with_claim(number: usize, scope: super::claims::Scope, claim: &str) -> Self {
-        let words = ClaimWords {
-            scope,
-            claim: claim.to_owned(),
-            paper: "none".to_owned(),
-            unit: "m".to_owned(),
-            why: "it is so".to_owned(),
-        };
-        let words = SectionWords {
-            claims: [("claim".to_owned(), words)].into(),
-            ..SectionWords::default()
-        };
-        Self::new(number, words)
     }
 }

@@ -10,7 +10,7 @@ use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symb
 
 use super::{
     Setup, assumptions,
-    claims::{above, below, near},
+    claims::{Scope, above, below, near},
     largest, least,
     section::{Picture, Section},
     text::{metres, mm, number, told, with_digits},
@@ -58,7 +58,7 @@ fn curve(setup: &Setup, law: Law, section: &mut Section) -> Vec<HopfPoint> {
 }
 
 /// The curves in every map of a car under a law.
-fn scene(subject: &Subject, setup: &Setup, section: &mut Section) -> Option<Scene> {
+pub(super) fn scene(subject: &Subject, setup: &Setup, section: &mut Section) -> Option<Scene> {
     let hopf = curve(setup, subject.law, section);
     section.or_note("Hopf points", Scene::new(subject, &hopf))
 }
@@ -76,30 +76,18 @@ fn picture<E: std::fmt::Display>(
         .collect()
 }
 
-/// The Hopf points at which stability ends, over the speeds.
-fn ends(setup: &Setup, law: Law, section: &mut Section) -> Vec<HopfPoint> {
-    let mut curve = curve(setup, law, section);
-    curve.retain(HopfPoint::ends_stability);
-    curve
-}
-
-/// The paper's figure of stable and unstable regions, and the coefficients along their boundary.
-fn region_plate(setup: &Setup, law: Law, curve: &[HopfPoint], section: &mut Section) {
-    section.fact("lyapunov", lyapunov(curve));
-    section.table(format!("hopf-{law}"), hopf_table(curve));
+/// The paper's figure of stable and unstable regions.
+fn region_picture(setup: &Setup, law: Law, name: &str, section: &mut Section) -> Vec<Picture> {
     let subject = subject(setup, law);
     let [speeds, deviations] = map_grids(setup, &subject);
-    let rows = section.or_note("region", region(&subject, &speeds, &deviations));
-    let scene = scene(&subject, setup, section);
-    let mut pictures = match (scene, rows) {
-        (Some(scene), Some(rows)) => {
-            let name = format!("region-{law}");
-            picture(section, &name, figures::region(&scene, &rows))
-        }
-        _ => Vec::new(),
+    let rows = region(&subject, &speeds, &deviations);
+    let (Some(scene), Some(rows)) = (
+        scene(&subject, setup, section),
+        section.or_note("region", rows),
+    ) else {
+        return Vec::new();
     };
-    pictures.push(lyapunov_picture(&format!("lyapunov-{law}"), curve));
-    section.plate("region", pictures);
+    picture(section, name, figures::region(&scene, &rows))
 }
 
 /// The first Lyapunov coefficient, in Kuznetsov's normalisation.
@@ -146,10 +134,20 @@ fn lyapunov(curve: &[HopfPoint]) -> String {
 }
 
 /// The bifurcation study of the proposed law.
-pub(super) fn proposed(setup: &Setup, section: &mut Section, progress: &ProgressBar) {
+pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
     progress.set_message("bifurcations of the proposed law");
     let [ahead, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    let curve = ends(setup, Law::FrontPoint, section);
+    let intro = format!(
+        "The steady motion under the law with a wrong l<sub>f</sub>, over the speed and the \
+         deviation dl of the centre of mass, which is physically meaningful from −l<sub>f</sub> = \
+         {} to l<sub>r</sub> = {}. Hopf points are found in closed form, their first Lyapunov \
+         coefficients by exact derivatives for states in rad and rad/s.",
+        metres(ahead),
+        metres(behind)
+    );
+    let mut section = Section::new(4, "Bifurcations under the proposed law", intro);
+    let mut curve = curve(setup, Law::FrontPoint, &mut section);
+    curve.retain(HopfPoint::ends_stability);
     let limit = infinite_speed_limit(setup.vehicle, setup.point_distance_m())
         .map_or(f64::NAN, |limits| largest(limits.into_iter()));
     let subject = subject(setup, Law::FrontPoint);
@@ -182,47 +180,101 @@ pub(super) fn proposed(setup: &Setup, section: &mut Section, progress: &Progress
     };
     let deviations = || curve.iter().map(|point| point.deviation);
     let highest = largest(deviations());
-    section.facts([
-        ("−l_f", metres(ahead)),
-        ("l_r", metres(behind)),
-        ("least dl", number(ahead)),
-        ("margin", mm(ahead - limit)),
-        ("slowest", number(SPEEDS[0] * setup.scale())),
-        ("fastest", number(SPEEDS[1] * setup.scale())),
-        ("lowest", metres(least(deviations()))),
-        ("highest", metres(highest)),
-        ("stable", stable),
-    ]);
     let inside = assumptions::with_position_loop(setup, [ahead, behind]).map(|counts| counts[0]);
     let beyond = [5.0 * ahead, ahead];
     let outside = assumptions::with_position_loop(setup, beyond).map(|counts| counts[2]);
     let smallest = smallest_point_distance(setup.vehicle, [ahead, behind]);
     let smallest = smallest.ok().flatten();
     section
-        .claim("hopf-negative")
+        .claim(
+            ("hopf-negative", Scope::PaperCar, "m"),
+            "Hopf bifurcations are at negative dl",
+            "\"detected at negative values of dl\": below 0",
+            "closed form: Hurwitz' determinant is quadratic in dl",
+        )
         .number("largest", highest, below(0.0));
     section
-        .claim("hopf-outside")
+        .claim(
+            ("hopf-outside", Scope::PaperCar, "m"),
+            "They are outside the physically meaningful range at all speeds considered",
+            format!(
+                "\"outside the range [−l_f, l_r] for all considered velocity values\": below \
+                     {}",
+                number(ahead)
+            ),
+            format!(
+                "and so they are at any speed: the paper does not say which it considers, and not \
+                 that the limit is so near ({})",
+                mm(ahead - limit)
+            ),
+        )
         .number("largest", highest, below(ahead))
         .number("v → ∞", limit, below(ahead));
     section
-        .claim("hopf-subcritical")
+        .claim(
+            ("hopf-subcritical", Scope::PaperCar, ""),
+            "They are subcritical",
+            "\"subcritical Hopf bifurcations\": l₁ above 0",
+            "exact derivatives; Kuznetsov's normalisation, on which the sign does not depend",
+        )
         .number("least l₁", least(curve.iter().map(l1)), above(0.0));
     section
-        .claim("structurally-stable")
+        .claim(
+            ("structurally-stable", Scope::PaperCar, ""),
+            "The steady motion is stable over the whole meaningful range",
+            "\"structurally asymptotically stable\": no unstable point",
+            "Hurwitz' criterion at 201 values of dl and 9 speeds from 0.01 to 1000 m/s",
+        )
         .number("unstable points", unstable as f64, near(0.0, 0.0));
     section
-        .claim("necessary-and-sufficient")
+        .claim(
+            ("necessary-and-sufficient", Scope::PaperCar, ""),
+            "The stability of ξ decides that of the whole system",
+            "\"necessary, but also sufficient\": with the position loop around the law no \
+             unstable point where ξ is stable, and no stable one where it is not",
+            "without a position loop the positions do not act on ξ; with one and a wrong l_f \
+             they do, and the paper's gain of 1 takes no stability over the meaningful range and \
+             gives none at the unstable ones of 147 motions beyond it, down to dl = −5 l_f",
+        )
         .number("unstable of 147", inside, near(0.0, 0.0))
         .number("stable of 47", outside, near(0.0, 0.0));
     let turned = assumptions::direction_matters(setup);
     section
-        .claim("direction")
+        .claim(
+            ("direction", Scope::AnyCar, ""),
+            "The direction of the motion may be 45° without loss of generality",
+            "\"without loss of generality\": the same motion in every direction",
+            "law and model turn with the world; four directions and four states",
+        )
         .number("differ by", turned, near(0.0, 1e-9));
     section
-        .claim("point-stability")
+        .claim(
+            ("point-stability", Scope::Nobody, "m"),
+            "Stable with P at another distance",
+            "analysed with p = 0.35 m only",
+            "our extension, in closed form: stable over the whole meaningful range at every \
+             speed from this p on. With the servo of the simulated car the least p grows with \
+             the speed",
+        )
         .number("p for every speed", smallest, near(0.35, 0.01));
-    region_plate(setup, Law::FrontPoint, &curve, section);
+    section.table("hopf-front-point", hopf_table(&curve));
+    let mut pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
+    pictures.push(lyapunov_picture("lyapunov-front-point", &curve));
+    section.plate(
+        "Stability over speed and deviation",
+        "Light and dark regions over speed and dl; the Hopf curve lies at negative dl, outside the \
+         physically meaningful range, with values of the first Lyapunov coefficient along it.",
+        format!(
+            "Between {} and {} m/s the Hopf curve rises from dl = {} to {}, {stable}. {}",
+            number(SPEEDS[0] * setup.scale()),
+            number(SPEEDS[1] * setup.scale()),
+            metres(least(deviations())),
+            metres(largest(deviations())),
+            lyapunov(&curve)
+        ),
+        pictures,
+    );
+    section
 }
 
 /// The largest real part of an eigenvalue at the deviations within a range.
@@ -234,62 +286,108 @@ fn largest_within(map: &[EigenvalueRow], index: usize, [from, to]: [f64; 2]) -> 
     )
 }
 
-/// The map of the eigenvalues under a law; the largest real part of each within the meaningful range.
-fn eigenvalues_under(setup: &Setup, law: Law, section: &mut Section) -> Option<Vec<f64>> {
-    let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    let subject = subject(setup, law);
-    let [speeds, deviations] = map_grids(setup, &subject);
-    let map = eigenvalue_map(&subject, &speeds, &deviations);
-    let map = section.or_note("eigenvalues", map)?;
-    let count = map.first().map_or(0, |row| row.eigenvalues.len());
-    let file = format!("eigenvalues-{law}");
-    section.table(file.clone(), eigenvalue_table(&map));
-    let parts: Vec<f64> = (0..count)
-        .map(|index| largest_within(&map, index, range))
-        .collect();
-    let pictures = match scene(&subject, setup, section) {
-        Some(scene) => picture(section, &file, figures::eigenvalues(&scene, &map)),
-        None => Vec::new(),
-    };
-    let crossing = match unstable(&parts) {
-        0 => String::new(),
-        count => format!(": {count} become positive, having crossed the axis as a pair"),
-    };
-    let shown: Vec<String> = parts.iter().map(|part| told(Some(*part), "1/s")).collect();
-    section.fact(format!("parts {law}"), shown.join(", ") + &crossing);
-    section.plate(law.name(), pictures);
-    Some(parts)
-}
-
 /// The eigenvalue maps of both laws.
-pub(super) fn eigenvalues(setup: &Setup, section: &mut Section, progress: &ProgressBar) {
-    let [front, velocity] = [Law::FrontPoint, Law::VelocityPoint].map(|law| {
-        progress.set_message(format!("eigenvalues under the {law} law"));
-        eigenvalues_under(setup, law, section)
-    });
-    let count = velocity.as_ref().map(|parts| parts.len() as f64);
-    let critical = velocity.as_ref().map(|parts| unstable(parts) as f64);
-    let claim = section.claim("eigenvalues-negative");
-    for (index, label) in ["λ₁ at most", "λ₂ at most", "λ₃ at most", "λ₄ at most"]
-        .into_iter()
-        .enumerate()
-    {
-        let part = front.as_ref().and_then(|parts| parts.get(index).copied());
-        claim.number(label, part, below(0.0));
+pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
+    let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
+    let mut section = Section::new(
+        5,
+        "Eigenvalues under both laws",
+        "The real parts of the eigenvalues of the same steady motions, numbered by ascending real \
+         part at every point.",
+    );
+    // The largest real part of each, under either law.
+    let mut found = [Vec::new(), Vec::new()];
+    let laws = [
+        (
+            Law::FrontPoint,
+            "front",
+            "the proposed law",
+            "A map for each of four eigenvalues; within the meaningful range all real parts are \
+             negative.",
+        ),
+        (
+            Law::VelocityPoint,
+            "velocity",
+            "the appendix's law",
+            "Three maps, of \"the four eigenvalues\"; that of the most critical, λ<sub>3</sub>, has \
+             a region where it is not negative.",
+        ),
+    ];
+    for ((law, name, title, paper), parts) in laws.into_iter().zip(&mut found) {
+        progress.set_message(format!("eigenvalues under {title}"));
+        let subject = subject(setup, law);
+        let [speeds, deviations] = map_grids(setup, &subject);
+        let map = eigenvalue_map(&subject, &speeds, &deviations);
+        let Some(map) = section.or_note("eigenvalues", map) else {
+            continue;
+        };
+        let count = map.first().map_or(0, |row| row.eigenvalues.len());
+        let file = format!("eigenvalues-{name}-point");
+        section.table(file.clone(), eigenvalue_table(&map));
+        parts.extend((0..count).map(|index| largest_within(&map, index, range)));
+        let pictures = match scene(&subject, setup, &mut section) {
+            Some(scene) => picture(&mut section, &file, figures::eigenvalues(&scene, &map)),
+            None => Vec::new(),
+        };
+        let crossing = match unstable(parts) {
+            0 => String::new(),
+            count => format!(": {count} become positive, having crossed the axis as a pair"),
+        };
+        let parts: Vec<String> = parts.iter().map(|part| told(Some(*part), "1/s")).collect();
+        section.plate(
+            format!("Real parts under {title}"),
+            paper,
+            format!(
+                "{} eigenvalues, for as many states; within the meaningful range their real parts \
+                 are at most {}{crossing}.",
+                match count {
+                    3 => "Three".to_owned(),
+                    4 => "Four".to_owned(),
+                    other => other.to_string(),
+                },
+                parts.join(", ")
+            ),
+            pictures,
+        );
     }
-    section.claim("eigenvalues-appendix-count").slip(
-        "eigenvalues",
-        count,
-        near(4.0, 0.0),
-        near(3.0, 0.0),
-    );
-    let (one, two) = (near(1.0, 0.0), near(2.0, 0.0));
-    section.claim("eigenvalues-appendix-critical").slip(
-        "with R ≥ 0 in the range",
-        critical,
-        one,
-        two,
-    );
+    let [front, velocity] = &found;
+    let measured = (!velocity.is_empty()).then_some(velocity);
+    let count = measured.map(|parts| parts.len() as f64);
+    let critical = measured.map(|parts| unstable(parts) as f64);
+    section
+        .claim(
+            ("eigenvalues-negative", Scope::PaperCar, "1/s"),
+            "All four real parts are negative within the meaningful range",
+            "\"R(λ_i) < 0 for all i = 1, …, 4\": below 0",
+            "over the map of speed and dl, sorted by real part",
+        )
+        .number("λ₁ at most", front.first().copied(), below(0.0))
+        .number("λ₂ at most", front.get(1).copied(), below(0.0))
+        .number("λ₃ at most", front.get(2).copied(), below(0.0))
+        .number("λ₄ at most", front.get(3).copied(), below(0.0));
+    section
+        .claim(
+            ("eigenvalues-appendix-count", Scope::AnyCar, ""),
+            "The appendix's law has four eigenvalues",
+            "\"the four eigenvalues of the dynamics of ξ̃\": 4",
+            "ξ̃ is yaw, yaw rate and sideslip: three states, as the law commands the steering \
+             angle itself; and the paper shows three maps",
+        )
+        .slip("eigenvalues", count, near(4.0, 0.0), near(3.0, 0.0));
+    section
+        .claim(
+            ("eigenvalues-appendix-critical", Scope::PaperCar, ""),
+            "Only λ₃ of the appendix's law becomes positive",
+            "the caption of its map has a region with R ≥ 0, those of λ₁ and λ₂ have none: 1",
+            "at a Hopf bifurcation a complex pair crosses the axis: λ₂ goes with λ₃",
+        )
+        .slip(
+            "with R ≥ 0 in the range",
+            critical,
+            near(1.0, 0.0),
+            near(2.0, 0.0),
+        );
+    section
 }
 
 /// How many of the largest real parts are not negative.
@@ -301,9 +399,18 @@ fn unstable(parts: &[f64]) -> usize {
 const SLOW: f64 = 0.1;
 
 /// The bifurcation study of the appendix's law.
-pub(super) fn appendix(setup: &Setup, section: &mut Section, progress: &ProgressBar) {
+pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
     progress.set_message("bifurcations of the appendix's law");
-    let curve = ends(setup, Law::VelocityPoint, section);
+    let mut section = Section::new(
+        6,
+        "Bifurcations under the appendix's law",
+        "The same study of the law of the appendix, which needs l<sub>r</sub>, the mass and the \
+         cornering stiffnesses besides: with its centre of mass dl behind its place on a \
+         wheelbase that is known, l<sub>f</sub> + dl and l<sub>r</sub> − dl, unless told \
+         otherwise.",
+    );
+    let mut curve = curve(setup, Law::VelocityPoint, &mut section);
+    curve.retain(HopfPoint::ends_stability);
     let [_, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
     let threshold = |belief| {
         let subject = Subject {
@@ -332,34 +439,73 @@ pub(super) fn appendix(setup: &Setup, section: &mut Section, progress: &Progress
     // The law uses the distances only in C_r l_r − C_f l_f.
     let stiffness_ratio = (c_f + c_r) / c_f;
     let lowest = least(curve.iter().map(|point| point.deviation));
-    section.facts([
-        ("ratio", with_digits(stiffness_ratio, 4)),
-        ("largest dl", number(behind)),
-        ("l_r", metres(behind)),
-        ("slow", number(SLOW * setup.scale())),
-        ("both", mm(both)),
-        ("front", mm(front)),
-        ("leaves", with_digits(leaves, 2)),
-    ]);
-    let papers = near(0.136, 0.0005);
     section
-        .claim("appendix-threshold")
-        .number("l_f + dl and l_r − dl", both * 1000.0, papers);
-    let right = near(0.135_977_266 * stiffness_ratio, 1e-6);
-    section.claim("appendix-threshold-front-only").slip(
-        "l_f + dl, l_r as it is",
-        front * 1000.0,
-        papers,
-        right,
-    );
+        .claim(
+            ("appendix-threshold", Scope::PaperCar, "mm"),
+            "At 0.1 m/s the appendix's law is unstable from dl = 0.136 mm on",
+            "\"for v = 0.1, the threshold value for dl is equal to 0.136 mm\"",
+            "exact: with both distances wrong, on a wheelbase that is known",
+        )
+        .number("l_f + dl and l_r − dl", both * 1000.0, near(0.136, 0.0005));
     section
-        .claim("appendix-inside")
+        .claim(
+            ("appendix-threshold-front-only", Scope::PaperCar, "mm"),
+            "The threshold of dl is with l_f alone estimated",
+            "of the two only an estimate of l_f is spoken of: 0.136 mm",
+            format!(
+                "the law needs C_r l_r − C_f l_f: with l_f alone wrong dl counts (C_f + \
+                     C_r)/C_f = {} times less",
+                with_digits(stiffness_ratio, 4)
+            ),
+        )
+        .slip(
+            "l_f + dl, l_r as it is",
+            front * 1000.0,
+            near(0.136, 0.0005),
+            near(0.135_977_266 * stiffness_ratio, 1e-6),
+        );
+    section
+        .claim(
+            ("appendix-inside", Scope::PaperCar, ""),
+            "Its bifurcations are at positive dl, at small speeds inside the meaningful range",
+            "\"at positive values of dl\", \"especially for small velocities\" inside: above 0 \
+             and inside up to some speed",
+            format!("the curve crosses l_r = {} m there", number(behind)),
+        )
         .number("least dl, m", lowest, above(0.0))
         .number("inside up to, m/s", leaves, above(0.1));
-    section.claim("appendix-subcritical").number(
-        "least l₁",
-        least(curve.iter().map(l1)),
-        above(0.0),
+    section
+        .claim(
+            ("appendix-subcritical", Scope::PaperCar, ""),
+            "They are subcritical",
+            "\"subcritical Hopf bifurcations\": l₁ above 0",
+            "exact derivatives; it falls by five decades from 0.1 to 8 m/s",
+        )
+        .number("least l₁", least(curve.iter().map(l1)), above(0.0));
+    section.table("hopf-velocity-point", hopf_table(&curve));
+    let mut pictures = region_picture(
+        setup,
+        Law::VelocityPoint,
+        "region-velocity-point",
+        &mut section,
     );
-    region_plate(setup, Law::VelocityPoint, &curve, section);
+    pictures.push(lyapunov_picture("lyapunov-velocity-point", &curve));
+    section.plate(
+        "Stability over speed and deviation",
+        "Light and dark regions over speed and dl; the Hopf curve lies at positive dl, at small \
+         speeds inside the meaningful range and close to zero: 0.136 mm at 0.1 m/s.",
+        format!(
+            "At {} m/s stability ends at dl = {} with l<sub>f</sub> and l<sub>r</sub> both wrong \
+             (with only l<sub>f</sub> wrong it would be {}), and the curve leaves the meaningful \
+             range (l<sub>r</sub> = {}) at {} m/s. {}",
+            number(SLOW * setup.scale()),
+            mm(both),
+            mm(front),
+            metres(behind),
+            with_digits(leaves, 2),
+            lyapunov(&curve)
+        ),
+        pictures,
+    );
+    section
 }

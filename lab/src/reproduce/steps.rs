@@ -8,11 +8,12 @@ use singletrack_statistics::RootMeanSquare;
 
 use super::{
     Setup, assumptions,
-    claims::{above, below, near},
+    claims::{Scope, above, below, near},
+    diagrams,
     drive::{Drives, Experiment, PLANTS, Run},
     largest, least, pictures,
-    section::{Measure, Picture, Section},
-    text::{metres, mm, number, told, with_digits},
+    section::{Picture, Section},
+    text::{self, metres, mm, number, with_digits},
 };
 
 /// Velocities of P, in m/s, for the paper's car: a sequence that turns P through 225
@@ -74,9 +75,20 @@ const CASES: [(&str, &str); 2] = [("right", "dl-0"), ("rear", "dl-rear")];
 /// The first drive of the car, without marker losses.
 const SEEN: &str = "seen";
 
-pub(super) fn section(setup: &Setup, section: &mut Section, progress: &ProgressBar) {
+pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let deviations = [0.0, setup.rear_deviation_m()];
-    let names = deviations.map(|deviation| format!("dl = {}", metres(deviation)));
+    let names = [
+        "dl = 0".to_owned(),
+        format!("dl = {}", metres(setup.rear_deviation_m())),
+    ];
+    let intro = format!(
+        "The law is fed with six constant velocities of P, {STEP_S} s each, without position \
+         control: once with the right l<sub>f</sub>, once with one that puts the centre of mass at \
+         the rear axle ({}; the 0.132 m of the paper's captions is a misprint). The paper's velocities are known from its picture only; ours turn P \
+         through 225°. On the car the markers are lost four times for 200 ms.",
+        names[1]
+    );
+    let mut section = Section::new(2, "The law alone: open-loop steps", intro);
     let mut drives = Drives::default();
     for (((case, _), name), deviation) in CASES.into_iter().zip(&names).zip(deviations) {
         let seen = experiment(setup, LawKind::FrontPoint, deviation);
@@ -101,31 +113,9 @@ pub(super) fn section(setup: &Setup, section: &mut Section, progress: &ProgressB
             }
         }
     }
-    facts(setup, &drives, section);
-    claims(setup, &drives, section);
-    plates(setup, &names, &drives, section);
-}
-
-/// What the words of this section name.
-fn facts(setup: &Setup, drives: &Drives, section: &mut Section) {
-    let dl = setup.rear_deviation_m();
-    section.fact("step", STEP_S.to_string());
-    section.fact("dl", metres(dl));
-    section.fact("2 dl", metres(2.0 * dl));
-    section.fact("wheelbase", metres(setup.vehicle.wheelbase_m()));
-    section.fact("speed lag", speed_lag(drives.get("right", "car")));
-    let losses = apart(drives, "right", SEEN);
-    section.fact("by losses", losses.map_or_else(|| told(None, ""), mm));
-    section.fact("by deviation", told(apart(drives, "rear", "right"), "m"));
-    let measures: [Measure; 4] = [
-        ("steering", |run| Some(run.steepest()), "rad"),
-        ("path", |run| Some(run.path()), "m"),
-        ("deviation", |run| Some(run.largest_deviation()), "m"),
-        ("rms", |run| Some(run.rms_deviation()), "m"),
-    ];
-    let cases = CASES.map(|(case, _)| case);
-    let plants = PLANTS.map(|(_, plant, _)| plant);
-    section.measured(drives, (&cases, &plants), &measures);
+    claims(setup, &drives, &mut section);
+    plates(setup, &names, &drives, &mut section);
+    section
 }
 
 /// The distance from the true P to nominal by theory (equation 9 integrated): a wrong `l_f`
@@ -189,44 +179,98 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
     let [right, rear] = ["right", "rear"].map(|case| largest(case, "ideal"));
     let wheelbase = setup.vehicle.wheelbase_m();
     let dl = setup.rear_deviation_m();
-    section
-        .claim("steps-integrators")
-        .number("ideal", right, near(0.0, 1e-6));
-    section
-        .claim("steps-close")
-        .number("ideal, dl = 0", right, below(wheelbase))
-        .number("ideal, dl = l_r", rear, below(wheelbase));
-    section
-        .claim("steps-close-car")
-        .number("dl = 0", largest("right", "car"), below(wheelbase))
-        .number("dl = l_r", largest("rear", "car"), below(wheelbase));
-    section
-        .claim("steps-losses")
-        .number("car", apart(drives, "right", SEEN), below(0.1));
-    section.claim("steps-uncertain-integrators").slip(
-        "ideal",
-        rear,
-        near(0.0, 1e-6),
-        near(2.0 * dl, 1e-3 * dl),
-    );
-    section.claim("steps-deviation-law").number(
-        "residual, ideal",
-        residual(setup, drives),
-        near(0.0, 1e-6),
-    );
     let corner = "cos(β − δ) at 40°, −50°";
     let cosine = assumptions::cosine_refused(setup, 40.0, -50.0);
     section
-        .claim("singularity")
+        .claim(
+            ("steps-integrators", Scope::AnyCar, "m"),
+            "With the right l_f the law makes of P two independent integrators",
+            "\"behaves as predicted by the theory, i.e., as two independent integrators\": \
+             deviation 0",
+            "equations 4 to 7; the deviation left is the integrator's",
+        )
+        .number("ideal", right, near(0.0, 1e-6));
+    section
+        .claim(
+            ("steps-close", Scope::PaperCar, "m"),
+            "Without position control P stays very close to its nominal path",
+            "\"very close to the nominal one\"; no number: taken as within a wheelbase, which is lenient",
+            format!(
+                "the wheelbase is {}; the largest deviation is 2 dl",
+                metres(wheelbase)
+            ),
+        )
+        .number("ideal, dl = 0", right, below(wheelbase))
+        .number("ideal, dl = l_r", rear, below(wheelbase));
+    section
+        .claim(
+            ("steps-close-car", Scope::RealCar, "m"),
+            "On the car P stays close to its nominal path, in spite of non-idealities and marker losses",
+            "\"very close to the nominal one\", \"robust to this disturbance as well\"; no \
+             number: taken as within a wheelbase, which is lenient",
+            "most of it arises in the first second: the nominal P moves at once, the simulated \
+             car has to start; there are no data of the real one to compare with",
+        )
+        .number("dl = 0", largest("right", "car"), below(wheelbase))
+        .number("dl = l_r", largest("rear", "car"), below(wheelbase));
+    section
+        .claim(
+            ("steps-losses", Scope::RealCar, "m"),
+            "Holding the last pose while the markers are lost does little harm",
+            "\"robust to this disturbance as well\"; no number: taken as below 0.1 m",
+            "four losses of 200 ms against the same drive without them",
+        )
+        .number("car", apart(drives, "right", SEEN), below(0.1));
+    section
+        .claim(
+            ("steps-uncertain-integrators", Scope::AnyCar, "m"),
+            format!("P stays two integrators with dl = {}", metres(dl)),
+            "\"as two independent integrators, even in the presence of uncertainty\": deviation 0",
+            format!(
+                "the law linearises the P it believes in; the true one deviates by 2 |dl \
+                 sin(Δψ/2)|: {} over a turn of 180°",
+                metres(2.0 * dl)
+            ),
+        )
+        .slip("ideal", rear, near(0.0, 1e-6), near(2.0 * dl, 1e-3 * dl));
+    section
+        .claim(
+            ("steps-deviation-law", Scope::AnyCar, "m"),
+            "With a wrong l_f P's velocity is off by dl r, across the car",
+            "equation 9, which integrates to a deviation of 2 |dl sin(Δψ/2)|",
+            "the deviation measured, less the one of theory, at most",
+        )
+        .number("residual, ideal", residual(setup, drives), near(0.0, 1e-6));
+    section
+        .claim(
+            ("singularity", Scope::AnyCar, ""),
+            "The singularity β − δ = 90° is out of reach",
+            "\"never satisfied\" for sideslip up to ±40° and steering up to ±50°",
+            "the corner of the stated ranges is 40° + 50° = 90°, where the law refuses to \
+             answer; with steering up to 26°, as the car has, it is out of reach",
+        )
         .slip(corner, cosine, above(0.1), near(0.0, 1e-15));
     let off = assumptions::error_of_any_p(setup);
     section
-        .claim("point-anywhere")
+        .claim(
+            ("point-anywhere", Scope::AnyCar, "m/s"),
+            "P may be at any distance p but zero",
+            "\"can be arbitrarily selected, excluding the case p = 0\": velocity of P as wanted",
+            "equation 7 makes P an integrator for every p from 0.01 to 5 m; whether the motion \
+             is stable is another question",
+        )
         .number("off by", off, near(0.0, 1e-9));
     let [whole, half, quarter] = [1.0, 0.5, 0.25].map(|part| wheel_from_path(setup, part));
     let nearer_than = |value: Option<f64>| below(value.unwrap_or(f64::NAN));
     section
-        .claim("point-near-wheel")
+        .claim(
+            ("point-near-wheel", Scope::PaperCar, "m"),
+            "The closer P is to the front wheel, the better it describes the motion",
+            "\"the closer point P is to the front wheel contact point, the more accurately it \
+             describes the motion of the vehicle\": the wheel stays nearer to the path of P",
+            "the steps without position control: how far the wheel is from the path at most, with \
+             p = 0.35, 0.175 and 0.0875 m",
+        )
         .number("p/4", quarter, nearer_than(half))
         .number("p/2", half, nearer_than(whole))
         .number("p", whole, above(0.0));
@@ -252,28 +296,92 @@ fn pictures_of(
 }
 
 fn plates(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Section) {
+    section.plate(
+        "Uncertainty of the centre of mass",
+        "A drawing of the true and the estimated centre of mass.",
+        "The same, of this car, to scale, and the point that the law steers then.",
+        vec![diagrams::uncertainty(setup)],
+    );
     let right = |plant| drives.get("right", plant);
+    let told = |case, plant, value: fn(&Run) -> f64, unit| {
+        text::told(drives.get(case, plant).map(value), unit)
+    };
     if let Some(run) = right("ideal").or(right("car")) {
         let fastest = largest(run.rows.iter().map(|row| row.v_px.hypot(row.v_py)));
-        section.fact("fastest", with_digits(fastest, 2));
-        let picture = Picture::new("steps-commanded-velocity", "", run.commanded_velocity());
-        section.plate("commanded-velocity", vec![picture]);
+        section.plate(
+            "Commanded velocity of P",
+            "The two components of the velocity, steps that both tests share.",
+            format!(
+                "Six steps, of up to {} m/s, that both tests and both plants share.",
+                with_digits(fastest, 2)
+            ),
+            vec![Picture::new(
+                "steps-commanded-velocity",
+                "",
+                run.commanded_velocity(),
+            )],
+        );
     }
-    for (what, draw) in [
-        ("steering", Run::steering as fn(&Run) -> Figure),
-        ("speed", Run::speed),
-        ("trajectory", Run::trajectory),
-        ("position", Run::position),
-    ] {
-        section.plate(what, pictures_of(what, names, drives, draw));
-    }
+    section.plate(
+        "Steering angle generated by the law",
+        "The reference steering angle for both l<sub>f</sub>.",
+        format!(
+            "Every turn of v<sub>P</sub> is a peak that decays as the car turns into the new \
+             direction: up to {} on the ideal plant and {} on the car; with the wrong \
+             l<sub>f</sub> {} and {}, and slower to decay.",
+            told("right", "ideal", Run::steepest, "rad"),
+            told("right", "car", Run::steepest, "rad"),
+            told("rear", "ideal", Run::steepest, "rad"),
+            told("rear", "car", Run::steepest, "rad")
+        ),
+        pictures_of("steering", names, drives, Run::steering),
+    );
+    section.plate(
+        "Reference and actual speed",
+        "The reference speed from the law (grey) and the car's (black), which follows it.",
+        format!(
+            "The ideal plant has the speed at once; the car follows {}. The dips are the turns, in \
+             which P moves mostly by steering.",
+            speed_lag(right("car"))
+        ),
+        pictures_of("speed", names, drives, Run::speed),
+    );
+    section.plate(
+        "Trajectory of P",
+        "Nominal (grey) and actual (black) path, from the triangle to the circle, very close to \
+         each other even with the wrong l<sub>f</sub>.",
+        format!(
+            "Over a path of {} the true P of the ideal plant is at most {} from nominal with the \
+             right l<sub>f</sub> and {} with the wrong one; that of the car {} and {} ({} and {} \
+             RMS): it has to start, while the nominal P moves at once.",
+            told("right", "ideal", Run::path, "m"),
+            told("right", "ideal", Run::largest_deviation, "m"),
+            told("rear", "ideal", Run::largest_deviation, "m"),
+            told("right", "car", Run::largest_deviation, "m"),
+            told("rear", "car", Run::largest_deviation, "m"),
+            told("right", "car", Run::rms_deviation, "m"),
+            told("rear", "car", Run::rms_deviation, "m")
+        ),
+        pictures_of("trajectory", names, drives, Run::trajectory),
+    );
+    section.plate(
+        "Position of P over time",
+        "Nominal and actual coordinates; where the cameras lose the markers the measured position \
+         stays constant though the car moves.",
+        format!(
+            "The same, with four losses of 200 ms on the car (shaded); they move P by at most {} \
+             from where it goes without them.",
+            apart(drives, "right", SEEN).map_or_else(|| "(not driven)".to_owned(), mm)
+        ),
+        pictures_of("position", names, drives, Run::position),
+    );
     deviation_plate(setup, drives, section);
 }
 
 /// How far the car's speed lags behind its reference, in words.
 fn speed_lag(run: Option<&Run>) -> String {
     let Some(run) = run else {
-        return told(None, "");
+        return "(not driven)".to_owned();
     };
     let mut lag = RootMeanSquare::default();
     for row in run.rows.iter().filter(|row| row.t > 1.0) {
@@ -307,15 +415,27 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
         let name = "car, from dl = 0";
         curves.push(Curve::new(name, Look::Truth, &time, apart));
     }
-    section.fact("residual", number(residual));
-    let figure = pictures::over_time(
-        "Deviation of P with the centre of mass believed at the rear axle",
-        "How far the true P is from where two integrators would be.",
-        pictures::DEVIATION,
-        curves,
-    );
     section.plate(
-        "deviation",
-        vec![Picture::new("steps-deviation", "", figure)],
+        "What a wrong centre of mass costs",
+        "No figure: equation 9 says that P's velocity is off by dl r, and the text that the path \
+         stays very close to the nominal one.",
+        format!(
+            "Equation 9 integrates to 2 |dl sin(Δψ/2)|, which the ideal plant meets to {} m: {} \
+             when the car has turned by 180°, nothing after a full turn. On the car, {} at most \
+             from where P goes with the right l<sub>f</sub>.",
+            number(residual),
+            text::told(Some(rear.largest_deviation()), "m"),
+            text::told(apart(drives, "rear", "right"), "m")
+        ),
+        vec![Picture::new(
+            "steps-deviation",
+            "",
+            pictures::over_time(
+                "Deviation of P with the centre of mass believed at the rear axle",
+                "How far the true P is from where two integrators would be.",
+                pictures::DEVIATION,
+                curves,
+            ),
+        )],
     );
 }
