@@ -146,6 +146,16 @@ fn stamps_from_the_past_and_the_future_end_the_drive() {
     });
 }
 
+/// Gives the pilot a trajectory of a program.
+fn pass(drive: &VirtualDrive, now: Time, points: impl IntoIterator<Item = TrajectoryPoint>) {
+    let trajectory = Trajectory {
+        stamp: stamp(now),
+        points: points.into_iter().collect(),
+    };
+    let command = SetpointCommand::Trajectory(Box::new(trajectory));
+    drive.host().parts.setpoints.pass(&command);
+}
+
 #[test]
 fn a_trajectory_that_is_repeated_after_its_end_ends_the_drive() {
     let ended = drive(|drive, now, truth| {
@@ -155,14 +165,7 @@ fn a_trajectory_that_is_repeated_after_its_end_ends_the_drive() {
             position: Position::new(truth.x, truth.y),
             velocity: Velocity::zeros(),
         });
-        drive
-            .host()
-            .parts
-            .setpoints
-            .pass(&SetpointCommand::Trajectory(Box::new(Trajectory {
-                stamp: stamp(now),
-                points: points.into_iter().collect(),
-            })));
+        pass(drive, now, points);
     });
     assert_eq!(ended.reason, Reason::SetpointStale);
 }
@@ -193,24 +196,15 @@ fn all_speed_straight_at_the_fence_stops_inside() {
     assert!(ended.fastest < config().limits.max_speed_m_s * 1.1);
     let ended = drive(|drive, now, truth| {
         let away = direction(libm::atan2(truth.y, truth.x));
-        let points = (0..20)
-            .map(|index| {
-                let seconds = 0.1 * f64::from(index);
-                TrajectoryPoint {
-                    time: now.after(seconds),
-                    position: Position::new(truth.x, truth.y) + 50.0 * seconds * away,
-                    velocity: 50.0 * away,
-                }
-            })
-            .collect();
-        drive
-            .host()
-            .parts
-            .setpoints
-            .pass(&SetpointCommand::Trajectory(Box::new(Trajectory {
-                stamp: stamp(now),
-                points,
-            })));
+        let points = (0..20).map(|index| {
+            let seconds = 0.1 * f64::from(index);
+            TrajectoryPoint {
+                time: now.after(seconds),
+                position: Position::new(truth.x, truth.y) + 50.0 * seconds * away,
+                velocity: 50.0 * away,
+            }
+        });
+        pass(drive, now, points);
     });
     assert_eq!(ended.reason, Reason::OutsideFence);
     assert!(ended.fastest < config().limits.max_speed_m_s * 1.1);

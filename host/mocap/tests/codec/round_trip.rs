@@ -55,7 +55,7 @@ proptest! {
         }
     }
 
-    /// Of what it does not take, a frame has nothing.
+    /// The frames are without the sections that the encoder does not write.
     #[test]
     fn the_encoder_writes_the_same_bytes(frame in any_frame()) {
         let frame = AnyFrame {

@@ -41,7 +41,7 @@ pub(super) trait Header {
 pub(super) enum Cell<'a> {
     Empty,
     Number(f64),
-    /// As a file has it: a number, or not.
+    /// A text as a file has it, which may be a number.
     Text(&'a str),
 }
 

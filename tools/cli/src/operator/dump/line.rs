@@ -60,7 +60,7 @@ impl Frame {
         }
     }
 
-    /// Of a message of the board.
+    /// The row of a message of the board.
     fn of(message: &ToHost) -> Self {
         match message {
             ToHost::Hello(hello) => {

@@ -65,7 +65,7 @@ pub(super) struct Step {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Pick {
     Whole,
-    /// By its place in the list of this name.
+    /// The element at a place in the list of this name.
     Index {
         list: String,
         index: u32,
