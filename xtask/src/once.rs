@@ -52,8 +52,8 @@ pub(crate) fn wrap(cargo: &mut Command, clippy: &Path) -> Result<(), Failure> {
         .join(COMPILER);
     // One that is there does the same, and may be running.
     if !copy.is_file() {
-        let program = env::current_exe().map_err(|error| failure!("this program: {error}"))?;
-        target::put(&program, &copy)?;
+        // The file that this program was started from may be another by now: cargo builds it, too.
+        target::put(Path::new("/proc/self/exe"), &copy)?;
     }
     cargo.env("RUSTC_WORKSPACE_WRAPPER", copy);
     cargo.env(CLIPPY_ARGUMENTS.0, CLIPPY_ARGUMENTS.1);
