@@ -149,6 +149,7 @@ impl Arguments {
     /// # Errors
     ///
     /// The file of the simulation can't be read.
+    #[inline]
     pub fn config(&self) -> Result<RealTimeConfig, SimulationFileError> {
         let mut simulation = match &self.config {
             Some(path) => SimulationConfig::read(path)?,

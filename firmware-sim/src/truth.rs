@@ -391,6 +391,8 @@ impl SimulationConfig {
     /// # Errors
     ///
     /// The file can't be read, has an unknown key, or a value out of range.
+    // Compiled where it is called: a parser of this many types takes as long as all that computes here.
+    #[inline]
     pub fn read(path: &Path) -> Result<Self, SimulationFileError> {
         let name = path.display();
         let text = std::fs::read_to_string(path)

@@ -159,6 +159,9 @@ fn children_ticks(stat: &str) -> Option<u64> {
     Some(next()? + next()?)
 }
 
+/// The sample is compiled this often; the least time counts, which other work on the machine disturbs least.
+const SAMPLES: u32 = 4;
+
 /// Processor time of `cargo demo` from nothing, as a multiple of that of the sample. Measured in one
 /// session on one machine: 213.2 s, and 0.98 s.
 const SAMPLES_IN_A_DEMO: f64 = 217.0;
@@ -169,12 +172,16 @@ pub(crate) fn demo_s() -> Result<f64> {
     target::empty(&folder)?;
     let file = folder.join("sample.rs");
     fs::write(&file, sample()).at(&file)?;
-    let before_s = processor_s();
-    let mut rustc = command(
-        "rustc --edition 2024 --crate-type lib -C opt-level=1 -C codegen-units=1 --out-dir",
-    );
-    silent(rustc.args([folder, file]))?;
-    Ok(SAMPLES_IN_A_DEMO * (processor_s() - before_s))
+    let mut least_s = f64::INFINITY;
+    for _ in 0..SAMPLES {
+        let before_s = processor_s();
+        let mut rustc = command(
+            "rustc --edition 2024 --crate-type lib -C opt-level=1 -C codegen-units=1 --out-dir",
+        );
+        silent(rustc.args([&folder, &file]))?;
+        least_s = least_s.min(processor_s() - before_s);
+    }
+    Ok(SAMPLES_IN_A_DEMO * least_s)
 }
 
 /// A library that depends on nothing but the standard library, and is always the same.
