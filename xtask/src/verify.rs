@@ -147,20 +147,20 @@ fn parse(arguments: &[String]) -> Result<Selection> {
 #[rustfmt::skip]
 const STEPS: [Step; 30] = [
     // Static checks.
-    row(PREREQUISITES, 0.1, Always, "the machine has what the steps need", |packages| {
+    row(PREREQUISITES, 0.05, Always, "the machine has what the steps need", |packages| {
         let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
         prerequisites::ensure(&["base"].into_iter().chain(parts.map(Part::name)).collect::<Vec<_>>())
     }),
     row("format", 0.02, Always, "the code is formatted", |_| format()),
     row("compile", 3.8, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
-    row("lints-uno", 0.22, Of(Part::Uno), "no warning in the Arduino's image", |_| uno::lint()),
-    row("packages", 0.3, All, "packages build alone, and those for others can be packed",
+    row("lints-uno", 0.21, Of(Part::Uno), "no warning in the Arduino's image", |_| uno::lint()),
+    row("packages", 0.2, All, "packages build alone, and those for others can be packed",
         |_| check_alone().and_then(|()| check_published())),
-    row("units", 0.02, Of(Part::Units),
+    row("units", 0.01, Of(Part::Units),
         "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| check(script("xtask/src/units.sh").arg(target::folder()?.join("units")))),
     // Checks of the programs in virtual time.
-    row("tests", 2.65, Always, "unit, property and virtual-time tests, examples of the documentation",
+    row("tests", 2.79, Always, "unit, property and virtual-time tests, examples of the documentation",
         |packages| {
         let mut tests = packages.tests(None)?;
         if *packages == Packages::Default {
@@ -168,76 +168,76 @@ const STEPS: [Step; 30] = [
         }
         packages.check_with_image(&mut tests)
     }),
-    row("faults", 0.22, Always, "random faults in virtual time violate no invariant",
+    row("faults", 0.24, Always, "random faults in virtual time violate no invariant",
         |packages| {
         let count = if *packages == Packages::Default { "60" } else { "200" };
         check(packages.program("singletrack-faults")?.args(["--count", count]))
     }),
-    row("tutorial", 0.03, Always, "the commands of the tutorial are accepted and run",
+    row("tutorial", 0.02, Always, "the commands of the tutorial are accepted and run",
         |packages| check(packages.tests(Some("book"))?.arg("tutorial"))),
-    row("real-logs", 0.02, Always,
+    row("real-logs", 0.01, Always,
         "the logs of a real car: what would have stopped it, and the errors of the estimate",
         real_logs),
-    row("uno", 0.05, Of(Part::Uno),
+    row("uno", 0.03, Of(Part::Uno),
         "the Arduino's image has no miscompiled code and stays within its budgets", |packages| {
         let mut figures = packages.program("uno-figures")?;
         uno::check_image(&packages.image()?, 0, &mut figures)
     }),
-    row("tests-uno", 0.19, Of(Part::Uno),
+    row("tests-uno", 0.17, Of(Part::Uno),
         "the tests and random faults of the Arduino's image, in its simulator", |packages| {
         packages.check_with_image(&mut packages.tests(Some("uno"))?)?;
         let mut faults = packages.program("singletrack-faults")?;
         packages.check_with_image(faults.args(["--count", "8", "--board", "uno"]))
     }),
-    row("exploration", 0.09, All, "no interleaving of board, link and supervisor violates a claim",
+    row("exploration", 0.08, All, "no interleaving of board, link and supervisor violates a claim",
         |packages| check(packages.program("singletrack-exploration")?.args(["--states", "9000"]))),
-    row("onboard", 0.18, All,
+    row("onboard", 0.16, All,
         "cars of all kinds come from the parts to the circle, led by the three procedures",
         |packages| check(packages.program("singletrack-onboard")?.args(["--count", "3"]))),
-    row("readers", 0.1, Of(Part::Readers),
+    row("readers", 0.08, Of(Part::Readers),
         "independent readers agree on the contents of a record and of a repaired one",
         python::check_readers),
-    row("slurm", 0.06, Of(Part::Slurm), "campaigns as job arrays of Slurm give what one process gives",
+    row("slurm", 0.05, Of(Part::Slurm), "campaigns as job arrays of Slurm give what one process gives",
         |packages| {
         let mut job_array = script("tests/slurm/job-array.sh");
         // A Slurm that is installed does not count.
         check(job_array.arg(packages.path("")?).env_remove("SLURM_CONF"))
     }),
-    row("certificates", 0.18, Of(Part::Python),
+    row("certificates", 0.17, Of(Part::Python),
         "independent programs accept the proofs of stability and of the safety filter, and no changed one",
         |packages| check(script("lab/certificates/check.sh")
             .arg(packages.path("singletrack-lab")?)
             .arg(target::folder()?.join("certificates")))),
-    row("book", 0.6, All, "the commands of all pages are accepted by their programs, and most are run",
+    row("book", 0.36, All, "the commands of all pages are accepted by their programs, and most are run",
         |packages| check(&mut packages.tests(Some("book"))?)),
-    row("release", 0.42, All, "what computes gives the same bits, optimised as in a release, as tested",
+    row("release", 0.25, All, "what computes gives the same bits, optimised as in a release, as tested",
         odroid::compare_optimised),
-    row("debian", 0.17, Of(Part::Debian),
+    row("debian", 0.16, Of(Part::Debian),
         "this machine's Debian package is clean by lintian, complete, and its programs run",
         deb::verify),
-    row("odroid", 1.65, Of(Part::Odroid),
+    row("odroid", 1.55, Of(Part::Odroid),
         "the daemon compiles for the Odroid, and what computes gives the same bits there", odroid::verify),
-    row("web", 1.3, Of(Part::Web),
+    row("web", 1.1, Of(Part::Web),
         "the laboratory in a browser has the same bits, in Node and in Chromium", web::verify),
-    row("python", 0.42, Of(Part::Python),
+    row("python", 0.37, Of(Part::Python),
         "the Python package drives the simulator and the daemon on both boards",
         python::check_package),
     // Checks in real time.
-    row("hil", 0.67, Always, "hardware in the loop: the daemon against the simulated board",
+    row("hil", 0.66, Always, "hardware in the loop: the daemon against the simulated board",
         |packages| check(&mut suite(packages, "native")?)),
-    row("hil-uno", 0.48, Of(Part::Uno), "the same against the Arduino's image",
+    row("hil-uno", 0.44, Of(Part::Uno), "the same against the Arduino's image",
         |packages| packages.check_with_image(&mut suite(packages, "uno")?)),
     row("two-computers", 0.02, All,
         "the cars of two computers start together, and stop when their network is cut",
         |packages| two_computers(packages, &[])),
     row("zenoh", 0.02, Of(Part::Zenoh), "the same by way of a zenoh router, which is killed as well",
         |packages| two_computers(packages, &["--zenoh"])),
-    row("octave", 0.03, Of(Part::Octave), "the example for MATLAB drives the car over TCP, in Octave",
+    row("octave", 0.02, Of(Part::Octave), "the example for MATLAB drives the car over TCP, in Octave",
         |packages| check(suite(packages, "native")?.args(["--octave", "in_octave"]))),
-    row("browser", 0.05, Of(Part::Browser),
+    row("browser", 0.03, Of(Part::Browser),
         "the page shows a drive in Chromium, at a desk and on a telephone",
         |packages| check(suite(packages, "native")?.args(["--browser", "in_a_browser"]))),
-    row("ros", 0.24, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it",
+    row("ros", 0.23, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it",
         python::check_node),
 ];
 
@@ -348,7 +348,7 @@ mod tests {
     #[test]
     fn the_steps_stay_within_the_processor_time_of_both_commands() {
         let all: f64 = STEPS.iter().map(|step| step.budget).sum();
-        assert!(all <= 14.31, "{all}");
+        assert!(all <= 13.31, "{all}");
         let always = STEPS.iter().filter(|step| step.scope == Always);
         let always: f64 = always.map(|step| step.budget).sum();
         assert!(always <= 7.6, "{always}");
