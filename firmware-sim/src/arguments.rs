@@ -149,6 +149,7 @@ impl Arguments {
     /// # Errors
     ///
     /// The file of the simulation can't be read.
+    // Compiled where it is called, as the reading of the file is.
     #[inline]
     pub fn config(&self) -> Result<RealTimeConfig, SimulationFileError> {
         let mut simulation = match &self.config {

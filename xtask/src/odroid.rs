@@ -93,7 +93,7 @@ pub(crate) fn quickly<'a>(
             cargo.args(["--config", &setting]);
         }
     }
-    // Three times as fast to compile.
+    // In C, which compiles in less than half of the time at this level.
     let zstd = format!("profile.{profile}.package.zstd-sys.opt-level=1");
     cargo.args(["--config", &zstd])
 }

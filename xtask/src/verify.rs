@@ -160,7 +160,7 @@ const STEPS: [Step; 30] = [
         "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| check(script("xtask/src/units.sh").arg(target::folder()?.join("units")))),
     // Checks of the programs in virtual time.
-    row("tests", 2.79, Always, "unit, property and virtual-time tests, examples of the documentation",
+    row("tests", 2.65, Always, "unit, property and virtual-time tests, examples of the documentation",
         |packages| {
         let mut tests = packages.tests(None)?;
         if *packages == Packages::Default {
@@ -168,7 +168,7 @@ const STEPS: [Step; 30] = [
         }
         packages.check_with_image(&mut tests)
     }),
-    row("faults", 0.24, Always, "random faults in virtual time violate no invariant",
+    row("faults", 0.22, Always, "random faults in virtual time violate no invariant",
         |packages| {
         let count = if *packages == Packages::Default { "60" } else { "200" };
         check(packages.program("singletrack-faults")?.args(["--count", count]))
@@ -348,10 +348,10 @@ mod tests {
     #[test]
     fn the_steps_stay_within_the_processor_time_of_both_commands() {
         let all: f64 = STEPS.iter().map(|step| step.budget).sum();
-        assert!(all <= 13.31, "{all}");
+        assert!(all <= 13.15, "{all}");
         let always = STEPS.iter().filter(|step| step.scope == Always);
         let always: f64 = always.map(|step| step.budget).sum();
-        assert!(always <= 7.6, "{always}");
+        assert!(always <= 7.44, "{always}");
     }
 
     #[test]
