@@ -60,5 +60,5 @@ mod trace;
 pub mod viewer;
 pub mod wait;
 
-pub use measured::{Failure, FreeTime, Measurements, Outcome, percentile};
+pub use measured::{Failure, Load, Measurements, Outcome, Shares, percentile};
 pub use trace::{Pulses, Trace};

@@ -2,6 +2,8 @@
 //! processors.
 
 use std::{
+    collections::HashMap,
+    fs,
     sync::{
         Arc, Mutex, PoisonError,
         mpsc::{self, RecvTimeoutError, Sender},
@@ -151,12 +153,14 @@ macro_rules! ensure {
 struct Processors {
     free: u64,
     all: u64,
+    /// Of this process and of those that it has started.
+    own: u64,
 }
 
 impl Processors {
     /// The time now; nothing where the kernel does not report it.
     fn now() -> Option<Self> {
-        let stat = std::fs::read_to_string("/proc/stat").ok()?;
+        let stat = fs::read_to_string("/proc/stat").ok()?;
         let times = stat.lines().next()?.strip_prefix("cpu ")?;
         let times: Vec<u64> = times
             .split_whitespace()
@@ -167,53 +171,131 @@ impl Processors {
         Some(Self {
             free: times[3] + times[4],
             all: times.iter().sum(),
+            own: own_time()?,
         })
     }
 
-    /// Share of the processors' time that was free since then, 0 to 1.
-    fn free_until_now(self) -> Option<f64> {
+    /// The shares of the time since then.
+    fn shares_until_now(self) -> Option<Shares> {
         let later = Self::now()?;
         let all = later.all.checked_sub(self.all).filter(|&all| all > 0)?;
-        Some(later.free.saturating_sub(self.free) as f64 / all as f64)
+        let share = |time: u64| time as f64 / all as f64;
+        let free = later.free.saturating_sub(self.free);
+        let own = later.own.saturating_sub(self.own);
+        Some(Shares {
+            free: share(free),
+            others: share(all.saturating_sub(free + own)),
+        })
     }
 }
 
-/// Watches the share of the processors' time that is free, until it is asked for.
-pub struct FreeTime {
-    begin: Option<Processors>,
-    stop: Sender<()>,
-    least: JoinHandle<f64>,
+/// The time of this process and of those that it has started, with those that have ended.
+fn own_time() -> Option<u64> {
+    let processes = fs::read_dir("/proc").ok()?.flatten();
+    // One that has just ended has no file, and what is no process has none.
+    let stats = processes.filter_map(|entry| fs::read_to_string(entry.path().join("stat")).ok());
+    Some(time_of(std::process::id(), stats))
 }
 
-impl FreeTime {
+/// The time of a process and of those that it has started, of all processes' `stat`.
+fn time_of(process: u32, stats: impl Iterator<Item = String>) -> u64 {
+    let parsed = |stat: &str| {
+        // The program's name may contain anything.
+        let (start, fields) = stat.rsplit_once(") ")?;
+        let process: u32 = start.split(' ').next()?.parse().ok()?;
+        let fields: Vec<&str> = fields.split_whitespace().collect();
+        let parent: u32 = fields.get(1)?.parse().ok()?;
+        // As a user and as the system, and both of children that have ended.
+        let times = fields.get(11..15)?.iter();
+        let time: u64 = times.map_while(|field| field.parse::<u64>().ok()).sum();
+        Some((process, (parent, time)))
+    };
+    let all: HashMap<u32, (u32, u64)> = stats.filter_map(|stat| parsed(&stat)).collect();
+    let is_of = |one: u32| {
+        let parent = |one: &u32| all.get(one).map(|(parent, _)| *parent);
+        std::iter::successors(Some(one), parent).any(|one| one == process)
+    };
+    let of = all.iter().filter(|(one, _)| is_of(**one));
+    of.map(|(_, (_, time))| time).sum()
+}
+
+/// Shares of the processors' time, 0 to 1.
+#[derive(Clone, Copy, Debug)]
+pub struct Shares {
+    /// What nobody used.
+    pub free: f64,
+    /// What was used by programs that the tests have not started.
+    pub others: f64,
+}
+
+impl Shares {
+    /// The less that is free of both, and the more that others used.
+    fn worse(self, other: Self) -> Self {
+        Self {
+            free: self.free.min(other.free),
+            others: self.others.max(other.others),
+        }
+    }
+}
+
+/// Watches who uses the processors, until it is asked for.
+pub struct Load {
+    begin: Option<Processors>,
+    stop: Sender<()>,
+    worst: JoinHandle<Option<Shares>>,
+}
+
+impl Load {
     /// A program that is held up for so long has missed every deadline of a drive.
     const WINDOW: Duration = Duration::from_secs(2);
 
     /// Begins to watch.
     pub fn watch() -> Self {
         let (stop, stopped) = mpsc::channel();
-        let least = thread::spawn(move || {
-            let mut least = f64::INFINITY;
+        let worst = thread::spawn(move || {
+            let mut worst: Option<Shares> = None;
             let mut begin = Processors::now();
             while stopped.recv_timeout(Self::WINDOW) == Err(RecvTimeoutError::Timeout) {
-                let free = begin.and_then(Processors::free_until_now);
-                least = least.min(free.unwrap_or(f64::INFINITY));
+                let shares = begin.and_then(Processors::shares_until_now);
+                worst = worst.into_iter().chain(shares).reduce(Shares::worse);
                 begin = Processors::now();
             }
-            least
+            worst
         });
         Self {
             begin: Processors::now(),
             stop,
-            least,
+            worst,
         }
     }
 
-    /// The least share, 0 to 1, of all the time and of each window; nothing where the kernel does not
-    /// report it.
-    pub fn least(self) -> Option<f64> {
-        let whole = self.begin?.free_until_now()?;
+    /// The worst shares, of all the time and of each window; nothing where the kernel does not report
+    /// them.
+    pub fn worst(self) -> Option<Shares> {
+        let whole = self.begin?.shares_until_now()?;
         drop(self.stop);
-        Some(self.least.join().ok()?.min(whole))
+        let windows = self.worst.join().ok()?;
+        Some(windows.map_or(whole, |worst| worst.worse(whole)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_of_a_process_is_also_that_of_those_it_has_started() {
+        let stat = |process: u32, name: &str, parent: u32, times: &str| {
+            format!("{process} ({name}) S {parent} 1 1 0 -1 0 0 0 0 0 {times} 20 0 1\n")
+        };
+        let stats = [
+            stat(1, "init", 0, "1000 1000 1000 1000"),
+            stat(7, "hil", 1, "1 2 3 4"),
+            stat(8, "a) S 1 (b", 7, "10 20 0 0"),
+            stat(9, "below", 8, "100 200 0 0"),
+            stat(10, "compiler", 1, "5000 0 0 0"),
+            "no process".to_owned(),
+        ];
+        assert_eq!(time_of(7, stats.into_iter()), 340);
     }
 }
