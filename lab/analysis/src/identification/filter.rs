@@ -111,7 +111,11 @@ pub(super) fn run_filter(
     Some(filter.run)
 }
 
-type Dual = DualSVec64<STATES>;
+/// The states that the rates of the states depend on: yaw, yaw rate, sideslip, speed and the bias of the
+/// forward acceleration. By the others, a state has the derivative 1 or 0.
+const SEEDS: [usize; 5] = [2, 3, 4, 5, 7];
+
+type Dual = DualSVec64<{ SEEDS.len() }>;
 
 struct Filter<'a> {
     data: &'a DriveData,
@@ -131,18 +135,21 @@ const START: [f64; STATES] = [1e-3, 1e-3, 0.01, 0.3, 0.1, 0.1, 0.03, 0.3];
 impl Filter<'_> {
     /// The state, with its derivatives by itself.
     fn seeded(&self) -> StateEstimate<Dual> {
-        let seed = |index: usize| Dual::from(self.state[index]).derivative(index);
+        let seed = |index: usize| {
+            let state = Dual::from(self.state[index]);
+            let seed = SEEDS.iter().position(|seed| *seed == index);
+            seed.map_or(state, |seed| state.derivative(seed))
+        };
         StateEstimate::of(core::array::from_fn(seed), Dual::from(self.steering))
     }
 
-    /// Corrects the state with a measurement. `expected` is its prediction with derivatives by
-    /// the state, and `difference` the innovation.
-    fn correct(&mut self, channel: Channel, expected: Dual, difference: f64) -> Gain {
+    /// Corrects the state with a measurement. `row` are the derivatives of its prediction by the states,
+    /// and `difference` is the innovation.
+    fn correct(&mut self, channel: Channel, row: Row, difference: f64) -> Gain {
         // Not measured.
         if difference.is_nan() {
             return Gain::default();
         }
-        let row = gradient(&expected);
         let column = self.covariance * row.transpose();
         let deviation = self.noise.of(channel);
         let variance = (row * column).x + deviation * deviation;
@@ -162,11 +169,19 @@ impl Filter<'_> {
     }
 }
 
-fn gradient(value: &Dual) -> SMatrix<f64, 1, STATES> {
-    value
-        .eps
-        .0
-        .map_or_else(SMatrix::zeros, |gradient| gradient.transpose())
+/// The derivatives of a value by the states.
+type Row = SMatrix<f64, 1, STATES>;
+
+/// The derivatives of a value; `plain` is the state that it is a sum with, if that is none of [`SEEDS`].
+fn gradient(value: &Dual, plain: Option<usize>) -> Row {
+    let mut row = Row::zeros();
+    for (seed, derivative) in SEEDS.into_iter().zip(value.eps.0.iter().flatten()) {
+        row[seed] = *derivative;
+    }
+    if let Some(plain) = plain {
+        row[plain] = 1.0;
+    }
+    row
 }
 
 impl EventHandler<f64> for Filter<'_> {
@@ -184,7 +199,11 @@ impl EventHandler<f64> for Filter<'_> {
             .advance(estimate.motion, Dual::from(step), target, forward)?;
         let motion = after;
         let rows = StateEstimate { motion, ..estimate }.states();
-        let transition = SMatrix::<f64, STATES, STATES>::from_rows(&rows.map(|row| gradient(&row)));
+        let derivatives = core::array::from_fn::<_, STATES, _>(|state| {
+            let plain = Some(state).filter(|state| !SEEDS.contains(state));
+            gradient(&rows[state], plain)
+        });
+        let transition = SMatrix::<f64, STATES, STATES>::from_rows(&derivatives);
         self.state = SVector::from(rows.map(|row| row.re));
         self.steering = after.steering.re;
         self.covariance = transition * self.covariance * transition.transpose();
@@ -222,13 +241,14 @@ impl EventHandler<f64> for Filter<'_> {
         let scale = self.model.get(Parameter::GyroScale);
         let expected = estimate.motion.yaw_rate * scale + estimate.gyro_bias;
         let difference = sample.yaw_rate_rad_s - expected.re;
-        let yaw_rate = self.correct(Channel::YawRate, expected, difference);
+        let yaw_rate = self.correct(Channel::YawRate, gradient(&expected, Some(6)), difference);
         let estimate = self.seeded();
         let expected = self
             .model
             .left_acceleration(&estimate.motion, -estimate.forward_bias + forward)
             + self.model.get(Parameter::LateralBias);
-        let left = self.correct(Channel::Left, expected, sample.left_m_s2 - expected.re);
+        let row = gradient(&expected, None);
+        let left = self.correct(Channel::Left, row, sample.left_m_s2 - expected.re);
         if let Some(gains) = self.run.gains.inertial.get_mut(index) {
             *gains = [yaw_rate, left];
         }
@@ -242,12 +262,10 @@ impl EventHandler<f64> for Filter<'_> {
         let Some(pose) = self.data.poses.get(index) else {
             return;
         };
-        let expected = self.seeded().motion.x;
-        let x = self.correct(Channel::X, expected, pose.x_m - expected.re);
-        let expected = self.seeded().motion.y;
-        let y = self.correct(Channel::Y, expected, pose.y_m - expected.re);
-        let expected = self.seeded().motion.yaw;
-        let yaw = self.correct(Channel::Yaw, expected, wrap(pose.yaw_rad - expected.re));
+        let row = |state: usize| Row::from_fn(|_, column| f64::from(u8::from(column == state)));
+        let x = self.correct(Channel::X, row(0), pose.x_m - self.state[0]);
+        let y = self.correct(Channel::Y, row(1), pose.y_m - self.state[1]);
+        let yaw = self.correct(Channel::Yaw, row(2), wrap(pose.yaw_rad - self.state[2]));
         if let Some(gains) = self.run.gains.poses.get_mut(index) {
             *gains = [x, y, yaw];
         }

@@ -43,6 +43,8 @@ pub(super) struct Task<'a> {
 
 /// The largest number of rounds. A round runs the filter and then the optimiser.
 const ROUNDS: usize = 12;
+/// The smallest.
+const LEAST_ROUNDS: usize = 3;
 /// Evaluations in one run of the optimiser, over the number of parameters plus one.
 const PATIENCE: usize = 1;
 /// The fit has converged below this change, in standard deviations.
@@ -101,12 +103,16 @@ impl Task<'_> {
         let servo = frames.of(&self.data.servo);
         let mut before = u.clone();
         for round in 0..ROUNDS {
-            if self.settings.estimate_noise && round < 3 {
+            if self.settings.estimate_noise && round < LEAST_ROUNDS {
                 let rounds = if round == 0 { 2 } else { 1 };
                 noise = self.likely_noise(&servo, &u, noise, &sampled, rounds)?;
             }
             let run = self.run_filter(&servo, &u, &noise)?;
             let next = self.minimise(&servo, &run, &u, PATIENCE)?;
+            if round < LEAST_ROUNDS - 1 {
+                before = core::mem::replace(&mut u, next);
+                continue;
+            }
             let prediction = self.prediction(&servo, &run);
             let spread = spread(&prediction, &next, &prediction.times(), BLOCK)
                 .ok_or_else(|| self.diverged(&next))?;
@@ -119,7 +125,7 @@ impl Task<'_> {
             let moved = moved_from(&u);
             let returns = moved < RETURNS && moved_from(&before) < SETTLED;
             before = core::mem::replace(&mut u, next);
-            let settled = round >= 2 && (moved < SETTLED || returns);
+            let settled = moved < SETTLED || returns;
             if settled || round + 1 == ROUNDS {
                 let run = self.run_filter(&servo, &u, &noise)?;
                 return Ok(Fit {

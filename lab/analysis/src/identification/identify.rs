@@ -258,6 +258,10 @@ fn choose(task: &Task<'_>) -> Result<Chosen, IdentificationError> {
     let Ok(simulation) = by_simulation(fit) else {
         return prediction;
     };
+    // Where both fail, the prediction says better why.
+    if !not_told(&simulation.fit, task.active.iter().copied()).is_empty() {
+        return prediction;
+    }
     let nmpe = simulation.nmpe();
     let (before, settled) = match &prediction {
         Ok(one) => (Some(one.nmpe()), one.fit.unsettled.is_none()),
@@ -278,18 +282,23 @@ fn choose(task: &Task<'_>) -> Result<Chosen, IdentificationError> {
 /// of the prior.
 const UNDETERMINED: f64 = core::f64::consts::FRAC_1_SQRT_2;
 
+/// The parameters, of those of a fit and in their order, of which the drive says less than their start
+/// values do.
+fn not_told(fit: &Fit, parameters: impl Iterator<Item = Parameter>) -> Vec<Parameter> {
+    let all = parameters.enumerate();
+    let not_told = all.filter(|(index, parameter)| {
+        let told = fit.spread.white[(*index, *index)].sqrt() < UNDETERMINED;
+        !told && !Parameter::NUISANCE.contains(parameter)
+    });
+    not_told.map(|(_, parameter)| parameter).collect()
+}
+
 /// Refuses what is no answer of the drive.
 fn check(fit: &Fit, estimates: &[Estimate]) -> Result<(), IdentificationError> {
     if fit.u.iter().all(|u| *u == 0.0) {
         return Err(IdentificationError::NotMoved);
     }
-    let mut parameters = Vec::new();
-    for (index, Estimate { parameter, .. }) in estimates.iter().enumerate() {
-        let told = fit.spread.white[(index, index)].sqrt() < UNDETERMINED;
-        if !told && !Parameter::NUISANCE.contains(parameter) {
-            parameters.push(*parameter);
-        }
-    }
+    let parameters = not_told(fit, estimates.iter().map(|estimate| estimate.parameter));
     if !parameters.is_empty() {
         return Err(IdentificationError::NotDetermined(parameters));
     }

@@ -3,15 +3,15 @@
 //! A prediction corrects the model at each sample. Where the car has more effects than the model, the
 //! corrections take them up, and the parameters that predict the next sample best may simulate badly.
 //! This fit leaves yaw rate and sideslip of the model alone for the whole stretch, as
-//! [`super::simulation`] does, and minimises the product of the root mean squares of its errors: each
-//! output is divided by that of the last round. Its errors are correlated over seconds: all of an output
-//! within [`BLOCK`] count as one beside the prior.
+//! [`super::simulation`] does, and minimises the product of the root mean squares of its errors. They are
+//! correlated over seconds: all of an output within [`BLOCK`] count as one beside the prior.
+
+use nalgebra::{DMatrix, DVector};
 
 use super::{
     data::{self, Channel, GyroScale, ServoFrames, ServoTarget, Span},
     error::IdentificationError,
     fit::{Fit, Task},
-    least_squares::minimise,
     model::Model,
     noise::NoiseLevels,
     parameter::Parameter,
@@ -23,13 +23,21 @@ use crate::dual::Dual;
 
 /// Errors of the simulation farther apart than this count as independent, in s.
 const BLOCK: f64 = 2.0;
-/// The largest number of rounds. A round weighs the outputs and then runs the optimiser.
-const ROUNDS: usize = 25;
-/// The filter runs in the first rounds alone. Its speed and biases hardly depend on the parameters, but
-/// that little can make the rounds swing.
-const FILTER_ROUNDS: usize = 4;
-/// The fit has converged below this change, in standard deviations.
-const SETTLED: f64 = 0.05;
+/// The filter runs so often: its speed and biases hardly depend on the parameters near the minimum, but
+/// that little can make the fit swing.
+const FILTER_RUNS: usize = 4;
+/// The largest number of steps with one run of the filter.
+const STEPS: usize = 60;
+/// The last step with the last run of the filter is below this, in standard deviations.
+const SETTLED: f64 = 0.01;
+/// The same with those before, which the next run moves by more.
+const ROUGHLY: f64 = 0.5;
+/// A start that comes so near to the way of an earlier one goes on like that, in standard deviations.
+const JOINED: f64 = 1.0;
+/// The damping of the first step, in shares of the curvature of the squares.
+const DAMPING: f64 = 1e-2;
+/// With this damping, a step is too short to matter.
+const MOST_DAMPING: f64 = 1e6;
 /// Where further fits start, by factors on stiffness in front, stiffness in the rear and yaw inertia.
 const STARTS: [[f64; 3]; 4] = [
     [1.0, 1.0, 1.0],
@@ -39,12 +47,12 @@ const STARTS: [[f64; 3]; 4] = [
 ];
 
 /// A simulation with its errors.
+#[derive(Clone, Copy)]
 struct Simulated<'a> {
     task: &'a Task<'a>,
     inputs: Inputs<'a>,
     scale: Option<GyroScale>,
-    /// What the errors of yaw rate, sideslip and acceleration are divided by, see
-    /// [`Self::measured_sizes`].
+    /// What the errors of yaw rate, sideslip and acceleration are divided by, see [`Cost::sizes`].
     sizes: [f64; 3],
     /// Yaw rate (rad/s) and sideslip (rad) of the cameras at each pose; NaN without enough poses.
     seen: &'a [[f64; 2]],
@@ -113,25 +121,127 @@ impl Simulated<'_> {
         Some(errors)
     }
 
-    /// The sizes with which the squares of an output's errors sum up to the number of blocks: the root
-    /// mean square times the square root of the samples in a block.
-    fn measured_sizes(&self, u: &[f64]) -> Option<[f64; 3]> {
-        let mut sums = [0.0; 3];
-        for ((output, _), error) in self.placed(u)? {
-            if let Some(sum) = sums.get_mut(output) {
-                *sum += error * error;
-            }
-        }
+    /// The cost, whatever the sizes are. None where the model is not defined.
+    fn cost(&self, u: &[f64]) -> Option<Cost> {
+        let errors = Simulated {
+            sizes: [1.0; 3],
+            ..*self
+        };
+        let errors = errors.placed(u)?;
         let blocks = self.task.blocks();
-        let mut sizes = self.sizes;
-        for (size, sum) in sizes.iter_mut().zip(sums) {
-            // An output that is not measured has no errors.
+        let sum = |number: usize| -> f64 {
+            let of_output = errors.iter().filter(|((output, _), _)| *output == number);
+            of_output.map(|(_, error)| error * error).sum()
+        };
+        // An output that is not measured has no errors.
+        let size = |sum: f64| {
             if sum > 0.0 {
-                *size *= f64::sqrt(sum / blocks);
+                f64::sqrt(sum / blocks)
+            } else {
+                1.0
             }
+        };
+        let sizes: [f64; 3] = core::array::from_fn(|output| size(sum(output)));
+        let products: f64 = sizes.iter().map(|size| size.ln()).sum();
+        let prior: f64 = u.iter().map(|u| u * u).sum();
+        let value = blocks * products + 0.5 * (sum(SCALE) + prior);
+        value.is_finite().then_some(Cost {
+            value,
+            sizes,
+            errors,
+        })
+    }
+
+    /// Gradient and curvature of the cost, without the second derivatives of the errors; before them, the
+    /// curvature of the squares of the errors over their sizes, without what the logarithms take off it.
+    fn slopes(&self, u: &[f64], cost: &Cost) -> Option<(DMatrix<f64>, DVector<f64>, DMatrix<f64>)> {
+        let weighed = Simulated {
+            sizes: cost.sizes,
+            ..*self
+        };
+        let jacobian = weighed.jacobian(u)?;
+        let squares = jacobian.tr_mul(&jacobian);
+        let mut sums = DMatrix::zeros(u.len(), SCALE + 1);
+        for (row, ((output, _), error)) in jacobian.row_iter().zip(&cost.errors) {
+            let size = cost.sizes.get(*output).copied().unwrap_or(1.0);
+            let mut sum = sums.column_mut(*output);
+            sum.axpy(error / size, &row.transpose(), 1.0);
         }
-        let normal = sizes.iter().all(|size: &f64| size.is_normal());
-        normal.then_some(sizes)
+        let gradient = DVector::from_column_slice(u) + sums.column_sum();
+        let outputs = sums.columns(0, SCALE);
+        let curvature = &squares - outputs * outputs.transpose() * (2.0 / self.task.blocks());
+        Some((squares, gradient, curvature))
+    }
+
+    /// From `u` to the minimum by Newton's steps, damped where the cost would not fall, until one is below
+    /// `settled` standard deviations.
+    fn minimise(&self, u: &[f64], settled: f64) -> Option<Minimum> {
+        let mut u = DVector::from_column_slice(u);
+        let mut cost = self.cost(u.as_slice())?;
+        let mut damping = DAMPING;
+        let mut step = 1;
+        loop {
+            let (squares, gradient, curvature) = self.slopes(u.as_slice(), &cost)?;
+            let diagonal = squares.diagonal();
+            // None where the cost falls nowhere.
+            let moved = loop {
+                let damped = &curvature + DMatrix::from_diagonal(&(&diagonal * damping));
+                let step = damped.cholesky().map(|factors| factors.solve(&gradient));
+                if let Some(step) = step {
+                    let next = &u - &step;
+                    let there = self.cost(next.as_slice());
+                    if let Some(there) = there.filter(|there| there.value < cost.value) {
+                        (u, cost) = (next, there);
+                        damping *= 0.1;
+                        break Some(step.component_mul(&diagonal.map(f64::sqrt)).amax());
+                    }
+                }
+                damping = (10.0 * damping).max(1e-4);
+                if damping > MOST_DAMPING {
+                    break None;
+                }
+            };
+            let moved = moved.filter(|moved| *moved >= settled);
+            if moved.is_none() || step == STEPS {
+                let variances = squares.cholesky()?.inverse().diagonal();
+                return Some(Minimum {
+                    u: u.as_slice().to_vec(),
+                    cost,
+                    deviations: variances.iter().map(|one| one.sqrt()).collect(),
+                    unsettled: moved,
+                });
+            }
+            step += 1;
+        }
+    }
+}
+
+/// The cost at a point: minus the logarithm of the posterior density, but for a constant.
+struct Cost {
+    value: f64,
+    /// With these, the squares of an output's errors sum up to the number of blocks: the root mean square
+    /// times the square root of the samples in a block.
+    sizes: [f64; 3],
+    /// The errors themselves, each with its place.
+    errors: Vec<(Place, f64)>,
+}
+
+/// Where the cost is least.
+struct Minimum {
+    u: Vec<f64>,
+    cost: Cost,
+    /// Standard deviations near there.
+    deviations: Vec<f64>,
+    /// The last step in standard deviations, if it was not reached.
+    unsettled: Option<f64>,
+}
+
+impl Minimum {
+    /// The distance of another point, in standard deviations of the coordinate that differs most.
+    fn distance(&self, other: &[f64]) -> f64 {
+        let differences = self.u.iter().zip(other).zip(&self.deviations);
+        let differences = differences.map(|((u, other), deviation)| (u - other).abs() / deviation);
+        differences.fold(0.0, f64::max)
     }
 }
 
@@ -164,9 +274,11 @@ impl Task<'_> {
             }
         }
         let mut last = self.diverged(&vec![0.0; self.active.len()]);
+        let mut ways = [const { Vec::new() }; FILTER_RUNS];
         for start in starts {
-            match self.descend(start, &servo, &seen, scale, &loose) {
-                Ok((cost, fit)) => {
+            match self.descend(start, &mut ways, &servo, &seen, scale, &loose) {
+                Ok(None) => {}
+                Ok(Some((cost, fit))) => {
                     let better = best.as_ref().is_none_or(|(least, _)| cost < *least);
                     if better {
                         best = Some((cost, Fit { frames, ..fit }));
@@ -204,24 +316,21 @@ impl Task<'_> {
         self.spans.iter().map(Span::seconds).sum::<f64>() / BLOCK
     }
 
-    /// From one start to its minimum. The cost is minus the logarithm of the posterior density, but for a
-    /// constant.
+    /// From one start to its minimum, with the cost there; none if it joins one of the other `ways`, which
+    /// are the points after each run of the filter.
     fn descend(
         &self,
         mut u: Vec<f64>,
+        ways: &mut [Vec<Vec<f64>>; FILTER_RUNS],
         servo: &[ServoTarget],
         seen: &[[f64; 2]],
         scale: Option<GyroScale>,
         noise: &NoiseLevels,
-    ) -> Result<(f64, Fit), IdentificationError> {
-        let mut sizes = None;
-        let mut moved = f64::INFINITY;
-        let mut run = self.run_filter(servo, &u, noise)?;
-        for round in 1.. {
-            if (2..=FILTER_ROUNDS).contains(&round) {
-                run = self.run_filter(servo, &u, noise)?;
-            }
-            let mut problem = Simulated {
+    ) -> Result<Option<(f64, Fit)>, IdentificationError> {
+        for (number, others) in ways.iter_mut().enumerate() {
+            let is_last = number + 1 == FILTER_RUNS;
+            let run = self.run_filter(servo, &u, noise)?;
+            let problem = Simulated {
                 task: self,
                 inputs: Inputs {
                     data: self.data,
@@ -230,51 +339,44 @@ impl Task<'_> {
                     run: &run,
                 },
                 scale,
-                sizes: sizes.unwrap_or([1.0; 3]),
+                sizes: [1.0; 3],
                 seen,
                 measures: [Channel::YawRate, Channel::Left].map(|one| self.data.measures(one)),
             };
-            problem.sizes = problem
-                .measured_sizes(&u)
-                .ok_or_else(|| self.diverged(&u))?;
-            sizes = Some(problem.sizes);
-            if moved < SETTLED || round > ROUNDS {
-                let placed = problem.placed(&u).ok_or_else(|| self.diverged(&u))?;
-                let times: Vec<f64> = placed.iter().map(|((_, time), _)| *time).collect();
-                let spread =
-                    spread(&problem, &u, &times, BLOCK).ok_or_else(|| self.diverged(&u))?;
-                let errors: f64 = problem.sizes.iter().map(|size| size.ln()).sum();
-                let prior: f64 = u.iter().map(|u| u * u).sum();
-                let cost = self.blocks() * errors + 0.5 * prior;
+            let settled = if is_last { SETTLED } else { ROUGHLY };
+            let least = problem.minimise(&u, settled);
+            let least = least.ok_or_else(|| self.diverged(&u))?;
+            if others.iter().any(|other| least.distance(other) < JOINED) {
+                return Ok(None);
+            }
+            others.push(least.u.clone());
+            if is_last {
+                let times: Vec<f64> = least
+                    .cost
+                    .errors
+                    .iter()
+                    .map(|((_, time), _)| *time)
+                    .collect();
+                let weighed = Simulated {
+                    sizes: least.cost.sizes,
+                    ..problem
+                };
+                let spread = spread(&weighed, &least.u, &times, BLOCK);
+                let spread = spread.ok_or_else(|| self.diverged(&least.u))?;
                 let fit = Fit {
-                    values: self.values(&u),
-                    u,
+                    values: self.values(&least.u),
+                    u: least.u,
                     noise: *noise,
                     frames: ServoFrames::Every,
                     spread,
                     lead: f64::INFINITY,
-                    unsettled: (moved >= SETTLED).then_some(moved),
+                    unsettled: least.unsettled,
                     run,
                 };
-                return Ok((cost, fit));
+                return Ok(Some((least.cost.value, fit)));
             }
-            let residuals = problem.residuals(&u);
-            let rows = residuals.ok_or_else(|| self.diverged(&u))?.len();
-            let next = minimise(
-                &u,
-                |u| problem.residuals_or_outside(u, rows),
-                |u| problem.jacobian(u),
-                2 * (u.len() + 1),
-            );
-            let jacobian = problem.jacobian(&next);
-            let jacobian = jacobian.ok_or_else(|| self.diverged(&u))?;
-            let information = jacobian.tr_mul(&jacobian).diagonal();
-            let moves = next.iter().zip(&u).zip(information.iter());
-            moved = moves
-                .map(|((next, last), information)| (next - last).abs() * information.sqrt())
-                .fold(0.0, f64::max);
-            u = next;
+            u = least.u;
         }
-        Err(self.diverged(&u))
+        Ok(None)
     }
 }
