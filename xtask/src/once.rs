@@ -9,8 +9,8 @@
 //! What is tested is the compiler's own output: clippy's driver does not optimise as the compiler does.
 //!
 //! Tests are not optimised where that takes longer than they run: the unit tests of a library compile
-//! all of it again. Without optimisation both drivers generate the same code, and clippy's compiles and
-//! lints such a test in one go.
+//! all of it again. Nor are programs: what computes is in their libraries. Without optimisation both
+//! drivers generate the same code, and clippy's compiles and lints such a crate in one go.
 
 use std::{
     env, fs,
@@ -158,16 +158,26 @@ fn is_documented(arguments: &[String], program: Option<&str>) -> bool {
     !is_test(arguments) && !arguments.iter().any(is_left_out)
 }
 
-/// Whether a crate keeps the optimisation of its profile: all but tests and benchmarks, and tests that
-/// compute. `cargo bench`, which runs the benchmarks, compiles them in a profile of their own.
+/// Whether a crate keeps the optimisation of its profile: libraries, and tests that compute. A program, an
+/// example and a build script call the library, which computes: they are not optimised, but for two that
+/// have no library. `cargo bench`, which runs the benchmarks, compiles them in a profile of their own.
 fn is_optimised(arguments: &[String], package: &str) -> bool {
     let is_test = is_test(arguments);
     match package {
         "singletrack-benches" => false,
-        "singletrack-commissioning" => true,
-        "singletrack-analysis" | "singletrack-control" => !(is_test && has_library_root(arguments)),
-        _ => !is_test,
+        "singletrack-simavr-process" | "singletrack-uno" => !is_test,
+        "singletrack-commissioning" => !is_program(arguments),
+        "singletrack-analysis" | "singletrack-control" => {
+            !(is_program(arguments) || is_test && has_library_root(arguments))
+        }
+        _ => !(is_test || is_program(arguments)),
     }
+}
+
+/// Whether a crate is a program; a test is none.
+fn is_program(arguments: &[String]) -> bool {
+    let mut pairs = arguments.windows(2);
+    pairs.any(|pair| pair[0] == "--crate-type" && pair[1] == "bin")
 }
 
 fn is_test(arguments: &[String]) -> bool {
@@ -258,6 +268,10 @@ mod tests {
             "singletrack-control"
         ));
         assert!(!optimised("benches/benches/dump.rs", "singletrack-benches"));
+        let program = "src/main.rs --crate-type bin";
+        assert!(!optimised(program, "singletrack-sim"));
+        assert!(optimised(program, "singletrack-simavr-process"));
+        assert!(optimised(program, "singletrack-uno"));
     }
 
     #[test]
