@@ -17,7 +17,7 @@ use crate::{
     workspace::root,
 };
 
-const USAGE: &str = "\
+pub(crate) const USAGE: &str = "\
 usage: cargo deb [--target ARCHITECTURE]
 
 Build the Debian packages singletrack and singletrack-ros, check them with lintian, run their
@@ -123,11 +123,7 @@ impl Architecture {
 }
 
 pub(crate) fn main(arguments: &[String]) -> Result {
-    let Some(name) = parse(arguments)? else {
-        print!("{USAGE}");
-        return Ok(());
-    };
-    for package in make(name)? {
+    for package in make(parse(arguments)?)? {
         println!("{}", package.display());
     }
     Ok(())
@@ -145,12 +141,11 @@ pub(crate) fn make(name: Option<&str>) -> Result<Vec<PathBuf>> {
     architecture.pack(&architecture.build()?, Some(&image), true)
 }
 
-/// The architecture; `None` for help.
-fn parse(arguments: &[String]) -> Result<Option<Option<&str>>> {
+/// The architecture, if it is named.
+fn parse(arguments: &[String]) -> Result<Option<&str>> {
     match options(arguments, &["--target"])[..] {
-        [] => Ok(Some(None)),
-        [("--help" | "-h", None)] => Ok(None),
-        [("--target", Some(name))] => Ok(Some(Some(name))),
+        [] => Ok(None),
+        [("--target", Some(name))] => Ok(Some(name)),
         _ => Err(failure!("unexpected arguments {arguments:?}\n\n{USAGE}")),
     }
 }
@@ -169,7 +164,7 @@ pub(crate) fn verify(packages: &Packages) -> Result {
 mod tests {
     use super::*;
 
-    fn parsed(arguments: &[String]) -> Option<Option<&str>> {
+    fn parsed(arguments: &[String]) -> Option<&str> {
         parse(arguments).unwrap()
     }
 
@@ -177,10 +172,9 @@ mod tests {
     fn the_architecture_has_two_forms() {
         let words =
             |line: &str| -> Vec<String> { line.split_whitespace().map(str::to_owned).collect() };
-        assert_eq!(parsed(&words("--target arm64")), Some(Some("arm64")));
-        assert_eq!(parsed(&words("--target=arm64")), Some(Some("arm64")));
-        assert_eq!(parsed(&words("")), Some(None));
-        assert_eq!(parsed(&words("--help")), None);
+        assert_eq!(parsed(&words("--target arm64")), Some("arm64"));
+        assert_eq!(parsed(&words("--target=arm64")), Some("arm64"));
+        assert_eq!(parsed(&words("")), None);
         for line in [
             "arm64",
             "--target",

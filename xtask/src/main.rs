@@ -26,7 +26,7 @@ mod workspace;
 
 use std::process::ExitCode;
 
-use process::{Failure, NOT_VALID};
+use process::{Failure, NOT_VALID, Result};
 use programs::become_program;
 
 const COMMANDS: &str =
@@ -42,16 +42,16 @@ fn main() -> ExitCode {
         return ExitCode::FAILURE;
     };
     let result = workspace::find().and_then(|_| match command.as_str() {
-        "deb" => deb::main(arguments),
+        "deb" => run(deb::USAGE, arguments, deb::main),
         "demo" => programs::demo(arguments),
         "explore" => become_program("singletrack-exploration", &["--"], arguments),
         "faults" => become_program("singletrack-faults", &["--"], arguments),
         "onboard" => become_program("singletrack-onboard", &["--"], arguments),
-        "uno" => uno::main(arguments),
-        "odroid" => odroid::main(arguments),
-        "release" => release::main(arguments),
-        "verify" => verify::main(arguments),
-        "web" => web::main(arguments),
+        "uno" => run(uno::USAGE, arguments, uno::main),
+        "odroid" => run(odroid::USAGE, arguments, odroid::main),
+        "release" => run(release::USAGE, arguments, release::main),
+        "verify" => run(&verify::usage(), arguments, verify::main),
+        "web" => run(web::USAGE, arguments, web::main),
         unknown => Err(process::failure!(
             "unknown command {unknown:?}; known: {COMMANDS}"
         )),
@@ -66,6 +66,15 @@ fn main() -> ExitCode {
             }
         }
     }
+}
+
+/// Runs a command, or prints its help if its arguments ask for that.
+fn run(usage: &str, arguments: &[String], command: fn(&[String]) -> Result) -> Result {
+    if arguments.iter().any(|one| one == "--help" || one == "-h") {
+        print!("{usage}");
+        return Ok(());
+    }
+    command(arguments)
 }
 
 /// Options with their values, if any, and other words. The options in `valued` have a value, after `=` or
@@ -84,4 +93,21 @@ pub(crate) fn options<'a>(
         });
     }
     options
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_with_help_among_its_arguments_does_nothing_else() {
+        let ran = |line: &str| {
+            let arguments: Vec<String> = line.split(' ').map(str::to_owned).collect();
+            run("", &arguments, |_| Err(process::failure!("it ran"))).is_err()
+        };
+        assert!(!ran("--help"));
+        assert!(!ran("-h"));
+        assert!(!ran("--all --help"));
+        assert!(ran("--all"));
+    }
 }

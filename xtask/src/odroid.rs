@@ -15,7 +15,7 @@ use crate::{
     workspace::{cargo, root},
 };
 
-const USAGE: &str = "\
+pub(crate) const USAGE: &str = "\
 usage: cargo odroid
 
 Build singletrackd and singletrack for the Odroid and print their paths.
@@ -50,21 +50,14 @@ pub(crate) const SCENARIOS: [&str; 3] = [
 ];
 
 pub(crate) fn main(arguments: &[String]) -> Result {
-    match arguments {
-        [] => {
-            prerequisites::ensure(&["armhf"])?;
-            let folder = build(ARMHF.cargo("build", "release")?, INSTALLED)?;
-            for program in ["singletrackd", "singletrack"] {
-                println!("{}", folder.join(program).display());
-            }
-            Ok(())
-        }
-        [help] if help == "--help" || help == "-h" => {
-            print!("{USAGE}");
-            Ok(())
-        }
-        [unknown, ..] => Err(failure!("unexpected argument {unknown:?}\n\n{USAGE}")),
+    let has_none = arguments.is_empty();
+    require!(has_none, "unexpected arguments {arguments:?}\n\n{USAGE}");
+    prerequisites::ensure(&["armhf"])?;
+    let folder = build(ARMHF.cargo("build", "release")?, INSTALLED)?;
+    for program in ["singletrackd", "singletrack"] {
+        println!("{}", folder.join(program).display());
     }
+    Ok(())
 }
 
 /// Builds the Odroid's programs, and checks that what computes, optimised, computes the same bits there

@@ -19,7 +19,7 @@ use crate::{
     workspace::{cargo, root},
 };
 
-const USAGE: &str = "\
+pub(crate) const USAGE: &str = "\
 usage: cargo release [--tag TAG] [--without STEP[,STEP...]]
 
 Make the files of a release in target/release-VERSION/: notes, licences, crates, book, Debian
@@ -64,10 +64,6 @@ pub(crate) struct Plan {
 }
 
 pub(crate) fn main(arguments: &[String]) -> Result {
-    if arguments.iter().any(|one| one == "--help" || one == "-h") {
-        print!("{USAGE}");
-        return Ok(());
-    }
     let plan = parse(arguments)?;
     let newest = notes::newest()?;
     let git = plan.tag.as_ref().map(|_| "git");

@@ -17,7 +17,7 @@ use crate::{
     workspace::{cargo, root},
 };
 
-const USAGE: &str = "\
+pub(crate) const USAGE: &str = "\
 usage: cargo uno [--car-id N] [--flash PORT]
 
 Build the image for the Arduino UNO, run it in simavr, and print its use of flash,
@@ -37,10 +37,7 @@ pub(crate) struct Options {
 }
 
 pub(crate) fn main(arguments: &[String]) -> Result {
-    let Some(options) = parse(arguments)? else {
-        print!("{USAGE}");
-        return Ok(());
-    };
+    let options = parse(arguments)?;
     if let Some(port) = &options.flash {
         // Before the build, which takes minutes.
         check_port(port)?;
@@ -56,13 +53,11 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     }
 }
 
-/// `None` for help.
-pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>> {
+pub(crate) fn parse(arguments: &[String]) -> Result<Options> {
     let refused = |reason: &str| Err(failure!("{reason}\n\n{USAGE}"));
     let mut found = Options::default();
     for option in options(arguments, &["--flash", "--car-id"]) {
         match option {
-            ("--help" | "-h", None) if arguments.len() == 1 => return Ok(None),
             ("--flash", None | Some("")) => {
                 return refused("--flash needs the UNO's port, such as /dev/ttyACM0");
             }
@@ -78,7 +73,7 @@ pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>> {
             (option, _) => return refused(&format!("unexpected argument {option:?}")),
         }
     }
-    Ok(Some(found))
+    Ok(found)
 }
 
 /// The variable with the car's number, which the image's source reads.
@@ -208,7 +203,7 @@ fn flash(elf: &Path, port: &Path) -> Result {
 mod tests {
     use super::*;
 
-    fn parsed(line: &str) -> Result<Option<Options>> {
+    fn parsed(line: &str) -> Result<Options> {
         let words: Vec<String> = line.split(' ').map(str::to_owned).collect();
         parse(&words)
     }
@@ -227,14 +222,9 @@ mod tests {
             ),
         ] {
             let flash = flash.map(PathBuf::from);
-            assert_eq!(
-                parsed(line).unwrap(),
-                Some(Options { car_id, flash }),
-                "{line}"
-            );
+            assert_eq!(parsed(line).unwrap(), Options { car_id, flash }, "{line}");
         }
-        assert_eq!(parse(&[]).unwrap(), Some(Options::default()));
-        assert_eq!(parsed("--help").unwrap(), None);
+        assert_eq!(parse(&[]).unwrap(), Options::default());
     }
 
     #[test]

@@ -38,21 +38,21 @@ struct Selection {
     without: Vec<Part>,
 }
 
+/// The options, and the steps.
+pub(crate) fn usage() -> String {
+    let steps = STEPS.map(|step| {
+        let (mark, part) = match step.scope {
+            Always => (' ', ""),
+            All => ('+', ""),
+            Of(part) => ('+', part.name()),
+        };
+        format!("{mark} {:14} {part:8} {}\n", step.name, step.what)
+    });
+    let of_steps = "Steps, those of --all alone with a +, and the part that each belongs to:";
+    format!("{USAGE}\n{of_steps}\n{}", steps.concat())
+}
+
 pub(crate) fn main(arguments: &[String]) -> Result {
-    if arguments.iter().any(|one| one == "--help" || one == "-h") {
-        print!(
-            "{USAGE}\nSteps, those of --all alone with a +, and the part that each belongs to:\n"
-        );
-        for step in STEPS {
-            let (mark, part) = match step.scope {
-                Always => (' ', ""),
-                All => ('+', ""),
-                Of(part) => ('+', part.name()),
-            };
-            println!("{mark} {:14} {part:8} {}", step.name, step.what);
-        }
-        return Ok(());
-    }
     let selection = parse(arguments)?;
     selection.check()?;
     target::adopt()?;

@@ -17,7 +17,7 @@ use crate::{
     workspace::root,
 };
 
-const USAGE: &str = "\
+pub(crate) const USAGE: &str = "\
 usage: cargo web
 
 Build the laboratory for a browser into the folder web/site of the target folder, and print its path.
@@ -60,18 +60,11 @@ const LARGEST: u64 = 1_600_000;
 const LEAST_SPEED: f64 = 0.5;
 
 pub(crate) fn main(arguments: &[String]) -> Result {
-    match arguments {
-        [] => {
-            prerequisites::ensure(&["wasm"])?;
-            println!("{}", build_published()?.display());
-            Ok(())
-        }
-        [help] if help == "--help" || help == "-h" => {
-            print!("{USAGE}");
-            Ok(())
-        }
-        [unknown, ..] => Err(failure!("unexpected argument {unknown:?}\n\n{USAGE}")),
-    }
+    let has_none = arguments.is_empty();
+    require!(has_none, "unexpected arguments {arguments:?}\n\n{USAGE}");
+    prerequisites::ensure(&["wasm"])?;
+    println!("{}", build_published()?.display());
+    Ok(())
 }
 
 /// Makes the folder of static files as they are published, and returns it.
