@@ -20,7 +20,8 @@ use std::{
 };
 
 use crate::{
-    process::{Failure, failure, text},
+    options,
+    process::{At as _, Result, failure, text},
     target,
     workspace::root,
 };
@@ -28,35 +29,28 @@ use crate::{
 /// The name of the copy of this program.
 const COMPILER: &str = "compile-lint-document";
 
-/// Clippy's variable for its arguments, each of which ends with the separator. Its warnings contain
-/// those of the compiler. It is part of what a crate depends on that clippy's driver has compiled, so
-/// that cargo has it as well.
-const CLIPPY_ARGUMENTS: (&str, &str) = (
-    "CLIPPY_ARGS",
-    "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__",
-);
-
 /// Lets cargo call the copy for the crates of the workspace. Its folder is named by what its verdict
 /// depends on, such as the version of clippy: cargo compiles a crate again if the path of its compiler
 /// differs, and rustdoc can't read what another version has written.
-pub(crate) fn wrap(cargo: &mut Command, clippy: &Path) -> Result<(), Failure> {
+pub(crate) fn wrap(cargo: &mut Command, clippy: &Path) -> Result {
+    // Each of clippy's arguments ends with a separator. Its warnings contain those of the compiler. The
+    // variable is part of what a crate depends on that clippy's driver has compiled, so that cargo has
+    // it as well.
+    let arguments = "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__";
     let settings = root().join("clippy.toml");
-    let settings =
-        fs::read(&settings).map_err(|error| failure!("{}: {error}", settings.display()))?;
+    let settings = fs::read(&settings).at(&settings)?;
     let mut hasher = DefaultHasher::new();
     (include_str!("once.rs"), settings).hash(&mut hasher);
     text(Command::new(clippy).arg("--version"))?.hash(&mut hasher);
-    let folder = target::folder()?.join("once");
-    let copy = folder
-        .join(format!("{:016x}", hasher.finish()))
-        .join(COMPILER);
+    let folder = target::folder()?.join(format!("once/{:016x}", hasher.finish()));
+    let copy = folder.join(COMPILER);
     // One that is there does the same, and may be running.
     if !copy.is_file() {
         // The file that this program was started from may be another by now: cargo builds it, too.
         target::put(Path::new("/proc/self/exe"), &copy)?;
     }
     cargo.env("RUSTC_WORKSPACE_WRAPPER", copy);
-    cargo.env(CLIPPY_ARGUMENTS.0, CLIPPY_ARGUMENTS.1);
+    cargo.env("CLIPPY_ARGS", arguments);
     Ok(())
 }
 
@@ -67,80 +61,62 @@ pub(crate) fn called(mut arguments: impl Iterator<Item = String>) -> Option<Exit
         return None;
     }
     let results = name.with_file_name("results");
-    Some(match compile(&arguments.collect::<Vec<_>>(), &results) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(failure) => {
-            eprintln!("error: {failure}");
-            ExitCode::FAILURE
-        }
-    })
+    let arguments: Vec<_> = arguments.collect();
+    let succeeds = compile(&arguments, &results).unwrap_or_else(|failure| {
+        eprintln!("error: {failure}");
+        false
+    });
+    Some(ExitCode::from(u8::from(!succeeds)))
 }
 
 /// Compiles a crate, lints and documents it, up to the first that fails.
-fn compile(arguments: &[String], results: &Path) -> Result<bool, Failure> {
+fn compile(arguments: &[String], results: &Path) -> Result<bool> {
     let Some((compiler, arguments)) = arguments.split_first() else {
         return Err(failure!("cargo names no compiler"));
     };
     let is_a_crate = arguments.iter().any(|argument| argument.ends_with(".rs"));
     let package = env::var("CARGO_PKG_NAME").unwrap_or_default();
-    let clippy = || Command::new(beside(compiler, "clippy-driver"));
+    let clippy = beside(compiler, "clippy-driver");
     let is_optimised = is_optimised(arguments, &package);
     let mut first = match is_optimised {
         true => Command::new(compiler),
-        false => clippy(),
+        false => Command::new(&clippy),
     };
     first.args(arguments);
     if !is_optimised {
         first.args(["-C", "opt-level=0"]);
     }
-    if is_a_crate {
-        first.args(["-D", "warnings"]);
+    if !is_a_crate {
+        return succeeds(&mut first);
     }
-    let mut commands = vec![first];
-    if is_a_crate && is_optimised && !(is_library(arguments) && has_unit_tests()?) {
-        let mut clippy = clippy();
-        clippy.args(kept(arguments)).arg("--emit=metadata");
-        commands.push(clippy);
-    }
+    let look = |program: &Path, options: &[&str]| {
+        let mut look = Command::new(program);
+        look.args(options).args(kept(arguments));
+        succeeds(look.arg("--out-dir").arg(results))
+    };
+    let warnings = ["-D", "warnings"];
+    let is_linted_apart = is_optimised && !(is_library(arguments) && has_unit_tests()?);
     let program = env::var("CARGO_BIN_NAME").ok();
-    if is_a_crate && is_documented(arguments, program.as_deref()) {
-        let mut rustdoc = Command::new(beside(compiler, "rustdoc"));
-        rustdoc.args(["-D", "warnings"]).args(kept(arguments));
-        commands.push(rustdoc);
-    }
-    for looks in &mut commands[1..] {
-        looks.arg("--out-dir").arg(results);
-    }
-    for command in &mut commands {
-        let status = command.status();
-        let status = status.map_err(|error| {
-            failure!(
-                "{} does not start: {error}",
-                command.get_program().display()
-            )
-        })?;
-        if !status.success() {
-            return Ok(false);
-        }
-    }
-    Ok(true)
+    let is_documented = is_documented(arguments, program.as_deref());
+    Ok(succeeds(first.args(warnings))?
+        && (!is_linted_apart || look(&clippy, &["--emit=metadata"])?)
+        && (!is_documented || look(&beside(compiler, "rustdoc"), &warnings)?))
+}
+
+/// Whether a program succeeds, which says itself why it does not.
+fn succeeds(program: &mut Command) -> Result<bool> {
+    let status = program.status().at(Path::new(program.get_program()))?;
+    Ok(status.success())
 }
 
 /// The compiler's arguments without those of its output and of the linker.
-fn kept(arguments: &[String]) -> Vec<String> {
-    let mut kept = Vec::new();
-    let mut arguments = arguments.iter();
-    while let Some(argument) = arguments.next() {
-        if ["--out-dir", "-l"].contains(&argument.as_str()) {
-            arguments.next();
-        } else if !argument.starts_with("--emit=") && !argument.starts_with("--json=") {
-            kept.push(argument.clone());
-        }
-    }
+fn kept(arguments: &[String]) -> Vec<&str> {
+    let left_out = ["--out-dir", "-l", "--emit", "--json"];
+    let mut kept = options(arguments, &left_out);
+    kept.retain(|(argument, _)| !left_out.contains(argument));
     // Without messages about files, of which cargo waits for the compiler's own.
-    kept.push("--json=diagnostic-rendered-ansi".to_owned());
-    kept
+    kept.push(("--json=diagnostic-rendered-ansi", None));
+    kept.into_iter().map(|(argument, _)| argument).collect()
 }
 
 /// Whether `cargo doc` would document the crate: a library, or a program without a library of its name;
@@ -195,12 +171,10 @@ fn is_library(arguments: &[String]) -> bool {
 }
 
 /// Whether cargo compiles the unit tests of the library of the package, too.
-fn has_unit_tests() -> Result<bool, Failure> {
+fn has_unit_tests() -> Result<bool> {
     let folder = env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default();
     let manifest = Path::new(&folder).join("Cargo.toml");
-    let text = fs::read_to_string(&manifest)
-        .map_err(|error| failure!("{}: {error}", manifest.display()))?;
-    Ok(tests_library(&text))
+    Ok(tests_library(&fs::read_to_string(&manifest).at(&manifest)?))
 }
 
 fn tests_library(manifest: &str) -> bool {
