@@ -50,32 +50,31 @@ fn parse(text: &str, version: &str) -> Result<Section> {
     let mut sections = text.split("\n## ").skip(1);
     let mut next = || sections.next()?.split_once('\n');
     let (heading, text) = next().ok_or_else(|| failure!("CHANGELOG.md has no section"))?;
-    let is_unreleased = heading == "Unreleased";
-    let released = match is_unreleased {
-        true => next().map(|(heading, _)| heading),
-        false => Some(heading),
+    let text = format!("{}\n", text.trim());
+    let date = match heading {
+        "Unreleased" => {
+            if let Some((released, _)) = next() {
+                date_of(released, version)?;
+            }
+            None
+        }
+        released => Some(date_of(released, version)?),
     };
-    let date = released.map(|heading| {
-        date_of(heading, version).ok_or_else(|| {
-            failure!(
-                "CHANGELOG.md: the newest version is \"## {heading}\", but Cargo.toml has {version}: \
-                 give that section the heading \"## Unreleased\" or \"## {version} (YYYY-MM-DD)\", or \
-                 change the version in Cargo.toml"
-            )
-        })
-    });
-    Ok(Section {
-        date: date.transpose()?.filter(|_| !is_unreleased),
-        text: format!("{}\n", text.trim()),
-    })
+    Ok(Section { date, text })
 }
 
 /// The day in the heading of this version.
-fn date_of(heading: &str, version: &str) -> Option<String> {
-    let date = heading.strip_prefix(version)?.strip_prefix(" (")?;
-    let date = date.strip_suffix(')')?;
-    let is_day = date.split('-').map(str::len).eq([4, 2, 2]);
-    is_day.then(|| date.to_owned())
+fn date_of(heading: &str, version: &str) -> Result<String> {
+    let date = heading.strip_prefix(&format!("{version} ("));
+    let date = date.and_then(|rest| rest.strip_suffix(')'));
+    let day = date.filter(|date| date.split('-').map(str::len).eq([4, 2, 2]));
+    day.map(str::to_owned).ok_or_else(|| {
+        failure!(
+            "CHANGELOG.md: the newest version is \"## {heading}\", but Cargo.toml has {version}: \
+             give that section the heading \"## Unreleased\" or \"## {version} (YYYY-MM-DD)\", or \
+             change the version in Cargo.toml"
+        )
+    })
 }
 
 /// The computers that a release is for.
@@ -95,13 +94,12 @@ pub(crate) fn licences(programs: &[(&str, &str)], triples: &[&str]) -> Result<St
     let manifests = target::paths(&metadata, "manifest_path");
     let mut of_notice: BTreeMap<String, Vec<&str>> = BTreeMap::new();
     for library in libraries.keys() {
-        let folder = library.replace(' ', "-");
-        let folder = manifests
-            .iter()
-            .filter_map(|manifest| manifest.parent())
-            .find(|place| place.ends_with(&folder))
-            .ok_or_else(|| failure!("`cargo metadata` does not know {library}"))?;
-        for notice in read(folder).at(folder)? {
+        let manifest = format!("{}/Cargo.toml", library.replace(' ', "-"));
+        let manifest = manifests.iter().find(|path| path.ends_with(&manifest));
+        let manifest =
+            manifest.ok_or_else(|| failure!("`cargo metadata` does not know {library}"))?;
+        let folder = manifest.with_file_name("");
+        for notice in read(&folder).at(&folder)? {
             of_notice.entry(notice).or_default().push(library);
         }
     }
