@@ -3,7 +3,7 @@
 use std::{
     fmt, io,
     path::Path,
-    process::{Child, Command, Output, Stdio},
+    process::{Child, Command, Stdio},
 };
 
 /// Failure of a command of the project.
@@ -67,12 +67,12 @@ pub(crate) fn command(line: &str) -> Command {
 
 /// Runs a command with inherited output.
 pub(crate) fn check(command: &mut Command) -> Result {
-    run(command, |_| String::new()).map(drop)
+    run(command, false).map(drop)
 }
 
 /// Runs a command and returns its output.
 pub(crate) fn output(command: &mut Command) -> Result<Vec<u8>> {
-    run(command.stdout(Stdio::piped()), |_| String::new())
+    run(command.stdout(Stdio::piped()), false)
 }
 
 /// Runs a command and returns its output, which is text.
@@ -82,15 +82,12 @@ pub(crate) fn text(command: &mut Command) -> Result<String> {
 
 /// Runs a command, and shows its output only if it fails.
 pub(crate) fn silent(command: &mut Command) -> Result {
-    let show = |output: &Output| {
-        let text = [&output.stdout[..], &output.stderr].concat();
-        format!("\n{}", String::from_utf8_lossy(&text))
-    };
-    run(command.stdout(Stdio::piped()).stderr(Stdio::piped()), show).map(drop)
+    run(command.stdout(Stdio::piped()).stderr(Stdio::piped()), true).map(drop)
 }
 
-/// Runs a command and returns what it writes to a pipe. The failure ends with a text of the output.
-fn run(command: &mut Command, show: impl Fn(&Output) -> String) -> Result<Vec<u8>> {
+/// Runs a command and returns what it writes to a pipe. If it is to be shown, the failure ends with what
+/// the command has written.
+fn run(command: &mut Command, is_shown: bool) -> Result<Vec<u8>> {
     let child = command.stdin(Stdio::null()).spawn();
     let output = child
         .and_then(Child::wait_with_output)
@@ -98,7 +95,11 @@ fn run(command: &mut Command, show: impl Fn(&Output) -> String) -> Result<Vec<u8
     if output.status.success() {
         return Ok(output.stdout);
     }
-    let text = format!("{}: {}{}", text_of(command), output.status, show(&output));
+    let mut text = format!("{}: {}", text_of(command), output.status);
+    if is_shown {
+        let written = [b"\n", &output.stdout[..], &output.stderr].concat();
+        text += &String::from_utf8_lossy(&written);
+    }
     Err(match output.status.code() {
         Some(code) if code == i32::from(NOT_VALID) => Failure::NotValid(text),
         _ => Failure::Failed(text),
