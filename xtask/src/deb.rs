@@ -14,7 +14,7 @@ use crate::{
     target,
     toolchain::{AARCH64, ARMHF, Target},
     uno,
-    workspace::root,
+    workspace::{root, script},
 };
 
 pub(crate) const USAGE: &str = "\
@@ -84,10 +84,9 @@ impl Architecture {
         let stage = folder.join("debian-stage").join(&self.name);
         let version = env!("CARGO_PKG_VERSION");
         let date = notes::newest()?.date;
-        let mut lay_out = Command::new(root().join("xtask/src/debian.sh"));
+        let mut lay_out = script("xtask/src/debian.sh");
         lay_out.args([&stage, &packages]);
-        lay_out.args([&self.name, version, date.as_deref().unwrap_or("now")]);
-        silent(lay_out.current_dir(root()))?;
+        silent(lay_out.args([&self.name, version, date.as_deref().unwrap_or("now")]))?;
         let mut contents = vec![("singletrack", &INSTALLED[..])];
         if has_node {
             contents.push((NODE.0, &[NODE]));

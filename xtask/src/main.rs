@@ -44,9 +44,9 @@ fn main() -> ExitCode {
     let result = workspace::find().and_then(|_| match command.as_str() {
         "deb" => run(deb::USAGE, arguments, deb::main),
         "demo" => programs::demo(arguments),
-        "explore" => become_program("singletrack-exploration", &["--"], arguments),
-        "faults" => become_program("singletrack-faults", &["--"], arguments),
-        "onboard" => become_program("singletrack-onboard", &["--"], arguments),
+        "explore" => become_program("singletrack-exploration", "--", arguments),
+        "faults" => become_program("singletrack-faults", "--", arguments),
+        "onboard" => become_program("singletrack-onboard", "--", arguments),
         "uno" => run(uno::USAGE, arguments, uno::main),
         "odroid" => run(odroid::USAGE, arguments, odroid::main),
         "release" => run(release::USAGE, arguments, release::main),

@@ -12,7 +12,7 @@ use crate::{
     programs::{Packages, release_build},
     target,
     toolchain::ARMHF,
-    workspace::{cargo, root},
+    workspace::{cargo, configure, root},
 };
 
 pub(crate) const USAGE: &str = "\
@@ -66,50 +66,41 @@ pub(crate) fn verify(packages: &Packages) -> Result {
     // The profile is that of the browser's module, which has the same helpers of the compiler.
     let (mut cargo, folder) = ARMHF.cargo("build", "web")?;
     quickly(&mut cargo, "web", &OTHERS);
-    for setting in ["panic=\"unwind\"", "opt-level=0"] {
-        cargo.args(["--config", &format!("profile.web.{setting}")]);
-    }
+    configure(&mut cargo, "web.panic=\"unwind\"");
+    configure(&mut cargo, "web.opt-level=0");
     // This combination of features is linted only here.
     cargo.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]);
     compare_emulated(packages, (cargo, folder), CHECKED)
 }
 
 /// Lets cargo optimise what computes, as in a release, and not some of [`OTHERS`].
-pub(crate) fn quickly<'a>(
-    cargo: &'a mut Command,
-    profile: &str,
-    plain: &[&str],
-) -> &'a mut Command {
-    for (names, level) in [(&COMPUTING[..], 3), (plain, 0)] {
-        for name in names {
-            let setting = format!("profile.{profile}.package.singletrack-{name}.opt-level={level}");
-            cargo.args(["--config", &setting]);
-        }
+pub(crate) fn quickly(cargo: &mut Command, profile: &str, plain: &[&str]) {
+    let package = format!("{profile}.package");
+    for name in COMPUTING {
+        configure(cargo, &format!("{package}.singletrack-{name}.opt-level=3"));
+    }
+    for name in plain {
+        configure(cargo, &format!("{package}.singletrack-{name}.opt-level=0"));
     }
     // In C, which compiles in less than half of the time at this level.
-    let zstd = format!("profile.{profile}.package.zstd-sys.opt-level=1");
-    cargo.args(["--config", &zstd])
+    configure(cargo, &format!("{package}.zstd-sys.opt-level=1"));
 }
 
 /// Checks that a release as it is installed simulates the same bits here and there as the tests here:
 /// records of the car are replayed here.
 pub(crate) fn compare_installed(packages: &Packages) -> Result {
-    let (mut build, folder) = release_build()?;
-    check(build.args(TRAJECTORY.split_whitespace()))?;
-    compare_native(packages, &folder.join("trajectory"))?;
+    let optimised = build(release_build()?, TRAJECTORY)?.join("trajectory");
+    compare_native(packages, &optimised)?;
     compare_emulated(packages, ARMHF.cargo("build", "release")?, TRAJECTORY)
 }
 
 /// Compares the bits of a build for the Odroid with such options, whose folder is given.
 fn compare_emulated(packages: &Packages, cargo: (Command, PathBuf), options: &str) -> Result {
     let emulated = build(cargo, options)?.join("trajectory");
-    let run = || {
+    compare(packages, &SCENARIOS, "this machine and ARMv7", |scenario| {
         let mut run = command(&ARMHF.emulator());
-        run.arg(&emulated);
-        run
-    };
-    let builds = ("this machine", "ARMv7");
-    compare(packages, &SCENARIOS, builds, &run)
+        output(run.arg(&emulated).arg(scenario).current_dir(root()))
+    })
 }
 
 /// Checks that what computes, optimised as in a release, computes the same bits as in the tests. All
@@ -117,12 +108,12 @@ fn compare_emulated(packages: &Packages, cargo: (Command, PathBuf), options: &st
 pub(crate) fn compare_optimised(packages: &Packages) -> Result {
     // The libraries are those of the tests, with the features that some test asks for.
     let mut build = cargo("build --quiet --bin trajectory --test book");
-    quickly(&mut build, "dev", &OTHERS).args(packages.options());
-    for package in COMPUTING {
-        let setting = format!("profile.dev.package.singletrack-{package}.debug-assertions=false");
-        build.args(["--config", &setting]);
+    quickly(&mut build, "dev", &OTHERS);
+    for name in COMPUTING {
+        let package = format!("dev.package.singletrack-{name}");
+        configure(&mut build, &format!("{package}.debug-assertions=false"));
     }
-    check(&mut build)?;
+    check(build.args(packages.options()))?;
     let target = target::folder()?;
     // The tested one takes its place there.
     let optimised = target.join("optimised/trajectory");
@@ -132,8 +123,10 @@ pub(crate) fn compare_optimised(packages: &Packages) -> Result {
 
 /// Compares the bits of an optimised build for this machine.
 fn compare_native(packages: &Packages, optimised: &Path) -> Result {
-    let builds = ("the tested build", "the optimised build");
-    compare(packages, &SCENARIOS, builds, &|| Command::new(optimised))
+    let builds = "the tested build and the optimised build";
+    compare(packages, &SCENARIOS, builds, |scenario| {
+        output(Command::new(optimised).arg(scenario).current_dir(root()))
+    })
 }
 
 /// Builds programs, and returns their folder, which is given.
@@ -147,15 +140,14 @@ fn build((mut cargo, folder): (Command, PathBuf), options: &str) -> Result<PathB
 pub(crate) fn compare(
     packages: &Packages,
     scenarios: &[&str],
-    (tested_name, name): (&str, &str),
-    other: &dyn Fn() -> Command,
+    builds: &str,
+    other: impl Fn(&str) -> Result<Vec<u8>>,
 ) -> Result {
-    let tested = packages.path("trajectory")?;
+    let program = packages.path("trajectory")?;
     for scenario in scenarios {
-        let simulate = |mut run: Command| output(run.arg(scenario).current_dir(root()));
-        let (tested, other) = (simulate(Command::new(&tested))?, simulate(other())?);
-        if let Some(place) = first_difference(&tested, &other) {
-            let builds = format!("{tested_name} and {name}");
+        let mut tested = Command::new(&program);
+        let tested = output(tested.arg(scenario).current_dir(root()))?;
+        if let Some(place) = first_difference(&tested, &other(scenario)?) {
             return Err(failure!("{scenario}: {builds} differ first in {place}"));
         }
         require!(!tested.is_empty(), "{scenario}: nothing was simulated");

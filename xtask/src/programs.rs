@@ -5,17 +5,18 @@
 //! twice. They use the profile `dev`, in which what computes is optimised.
 
 use std::{
+    fs,
     os::unix::process::CommandExt,
     path::{Path, PathBuf},
     process::Command,
 };
 
 use crate::{
-    once,
+    once, options,
     prerequisites::Part,
     process::{Result, check, failure},
     target, uno,
-    workspace::{cargo, cargo_here, root},
+    workspace::{cargo, cargo_here, configure, root},
 };
 
 /// Tests that run only when they are named.
@@ -156,7 +157,7 @@ pub(crate) fn program_options<'a>(programs: &[(&'a str, &'a str)]) -> Vec<&'a st
 /// Builds the program of a package, and the Arduino's image if the arguments ask for it, and replaces
 /// this process by the program; returns only on failure. The program starts in the current folder, from
 /// which its files are named, and has stdout for itself.
-pub(crate) fn become_program(package: &str, options: &[&str], arguments: &[String]) -> Result {
+pub(crate) fn become_program(package: &str, options: &str, arguments: &[String]) -> Result {
     let mut cargo = cargo_here();
     if needs_image(arguments) {
         cargo.env("SINGLETRACK_UNO", uno::ensure(0, &[])?);
@@ -168,7 +169,7 @@ pub(crate) fn become_program(package: &str, options: &[&str], arguments: &[Strin
     cargo
         .args(["run", "--package", package, "--bin", package])
         .args(uno::quiet().filter(|_| !is_first))
-        .args(options)
+        .args(options.split_whitespace())
         .args(arguments);
     Err(failure!("cargo does not start: {}", cargo.exec()))
 }
@@ -176,14 +177,8 @@ pub(crate) fn become_program(package: &str, options: &[&str], arguments: &[Strin
 /// `cargo demo`: only what it runs is built. With the option `--live`, also what that serves.
 pub(crate) fn demo(arguments: &[String]) -> Result {
     let is_live = arguments.iter().any(|one| one.starts_with("--live"));
-    let features = if is_live { "live" } else { "" };
-    let options = [
-        "--no-default-features",
-        "--features",
-        features,
-        "--",
-        "demo",
-    ];
+    let features = if is_live { "--features live" } else { "" };
+    let options = format!("--no-default-features {features} -- demo");
     become_program("singletrack", &options, arguments)
 }
 
@@ -191,20 +186,17 @@ pub(crate) fn demo(arguments: &[String]) -> Result {
 /// text or as a file. The program itself validates them.
 fn needs_image(arguments: &[String]) -> bool {
     let of_schedule = |schedule: &str| {
-        schedule
-            .split(['\n', ';'])
-            .any(|entry| entry.split_whitespace().eq(["board", "uno"]))
+        let mut entries = schedule.split(['\n', ';']);
+        entries.any(|entry| entry.split_whitespace().eq(["board", "uno"]))
     };
-    let as_board = arguments
-        .windows(2)
-        .any(|pair| pair[0] == "--board" && pair[1] == "uno");
-    as_board
-        || arguments.iter().any(|argument| {
-            let named = argument.strip_prefix("--replay=").unwrap_or(argument);
-            argument == "--board=uno"
-                || of_schedule(named)
-                || std::fs::read_to_string(named).is_ok_and(|text| of_schedule(&text))
-        })
+    let mut options = options(arguments, &["--board", "--replay"]).into_iter();
+    options.any(|option| match option {
+        ("--board", board) => board == Some("uno"),
+        (schedule, None) | (_, Some(schedule)) => {
+            let file = fs::read_to_string(schedule);
+            of_schedule(schedule) || file.is_ok_and(|text| of_schedule(&text))
+        }
+    })
 }
 
 /// The packages with `publish = true`.
@@ -237,7 +229,7 @@ pub(crate) fn check_published() -> Result {
         "build-override.debug=false",
         "package.\"*\".debug=false",
     ] {
-        package.args(["--config", &format!("profile.dev.{setting}")]);
+        configure(&mut package, &format!("dev.{setting}"));
     }
     let folder = target::folder()?;
     check(package.args(packages).env("CARGO_TARGET_DIR", folder))
@@ -245,8 +237,6 @@ pub(crate) fn check_published() -> Result {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-
     use crate::workspace;
 
     use super::*;

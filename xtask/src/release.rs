@@ -34,6 +34,9 @@ and installs missing packages. Publishes nothing.
 
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
+/// The folder of the files, in the target folder.
+const FOLDER: &str = concat!("release-", env!("CARGO_PKG_VERSION"));
+
 /// The version of mdbook that makes the site.
 const MDBOOK: &str = "0.5.4";
 
@@ -79,7 +82,7 @@ pub(crate) fn main(arguments: &[String]) -> Result {
         newest.check_tag(tag)?;
         check_clean()?;
     }
-    target::empty(&folder()?)?;
+    target::emptied(FOLDER)?;
     let steps = STEPS.into_iter().filter(|step| plan.has(step.name));
     let steps: Vec<Step> = steps.collect();
     run_all(&steps, &Packages::Default, demo_s()?)?;
@@ -132,7 +135,7 @@ fn check_clean() -> Result {
 
 /// The folder of the files.
 fn folder() -> Result<PathBuf> {
-    Ok(target::folder()?.join(format!("release-{VERSION}")))
+    Ok(target::folder()?.join(FOLDER))
 }
 
 fn write(name: &str, text: &str) -> Result {
@@ -175,8 +178,7 @@ fn book(_: &Packages) -> Result {
     check(mdbook.current_dir(root()))?;
     web::copy(&web::build_published()?, &site.join("laboratory"))?;
     let archive = folder()?.join(format!("singletrack-book-{VERSION}.tar.gz"));
-    let mut tar = command("tar --create --gzip --file");
-    silent(tar.arg(archive).arg("--directory").arg(&site).arg("."))
+    target::pack(&site, &archive)
 }
 
 fn debian(_: &Packages) -> Result {

@@ -168,8 +168,7 @@ const SAMPLES_IN_A_DEMO: f64 = 217.0;
 
 /// Processor time of `cargo demo` from nothing on this machine, estimated by compiling a sample.
 pub(crate) fn demo_s() -> Result<f64> {
-    let folder = target::folder()?.join("yardstick");
-    target::empty(&folder)?;
+    let folder = target::emptied("yardstick")?;
     let file = folder.join("sample.rs");
     fs::write(&file, sample()).at(&file)?;
     let mut least_s = f64::INFINITY;

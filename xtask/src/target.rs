@@ -6,7 +6,7 @@ use std::{
 };
 
 use crate::{
-    process::{At as _, Result, check, failure, text},
+    process::{At as _, Result, check, command, failure, silent, text},
     workspace::{cargo, root},
 };
 
@@ -39,54 +39,59 @@ pub(crate) fn paths(metadata: &str, name: &str) -> Vec<PathBuf> {
     metadata
         .split(&format!("\"{name}\":\""))
         .skip(1)
-        .filter_map(text_up_to_quote)
-        .map(PathBuf::from)
+        .filter_map(path_up_to_quote)
         .collect()
 }
 
-fn text_up_to_quote(rest: &str) -> Option<String> {
+fn path_up_to_quote(rest: &str) -> Option<PathBuf> {
     let mut text = String::new();
     let mut characters = rest.chars();
     loop {
-        match characters.next()? {
-            '"' => return Some(text),
-            '\\' => match characters.next()? {
-                escaped @ ('"' | '\\' | '/') => text.push(escaped),
-                // Control characters in paths are not supported.
-                _ => return None,
-            },
-            character => text.push(character),
-        }
+        text.push(match characters.next()? {
+            '"' => return Some(text.into()),
+            // Control characters in paths are not supported.
+            '\\' => characters
+                .next()
+                .filter(|escaped| r#""\/"#.contains(*escaped))?,
+            character => character,
+        });
     }
 }
 
-/// Creates or empties a folder.
-pub(crate) fn empty(folder: &Path) -> Result {
-    match fs::remove_dir_all(folder) {
+/// Creates or empties a folder in the target folder.
+pub(crate) fn emptied(name: &str) -> Result<PathBuf> {
+    let folder = folder()?.join(name);
+    match fs::remove_dir_all(&folder) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => fs::create_dir_all(folder),
+        _ => fs::create_dir_all(&folder),
     }
-    .at(folder)
+    .at(&folder)?;
+    Ok(folder)
+}
+
+/// Packs the contents of a folder into an archive.
+pub(crate) fn pack(folder: &Path, archive: &Path) -> Result {
+    let mut tar = command("tar --create --sort=name --gzip --file");
+    silent(
+        tar.arg(archive)
+            .arg("--directory")
+            .args([folder, Path::new(".")]),
+    )
 }
 
 /// Copies a program atomically to its place, unless it is already there.
 pub(crate) fn put(from: &Path, to: &Path) -> Result {
-    place(from, to)
-        .map_err(|error| failure!("can't copy {} to {}: {error}", from.display(), to.display()))
-}
-
-fn place(from: &Path, to: &Path) -> io::Result<()> {
-    let new = fs::read(from)?;
+    let new = fs::read(from).at(from)?;
     if fs::read(to).is_ok_and(|old| old == new) {
         return Ok(());
     }
     if let Some(folder) = to.parent() {
-        fs::create_dir_all(folder)?;
+        fs::create_dir_all(folder).at(folder)?;
     }
     let temporary = to.with_added_extension(format!("{}.part", std::process::id()));
     // Copies the permissions too, for programs.
-    fs::copy(from, &temporary)?;
-    fs::rename(&temporary, to)
+    fs::copy(from, &temporary).at(&temporary)?;
+    fs::rename(&temporary, to).at(to)
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use crate::{
         Step, demo_s, row, run_all,
     },
     target, uno, web,
-    workspace::{cargo, root},
+    workspace::{cargo, script},
 };
 
 const USAGE: &str = "\
@@ -240,13 +240,6 @@ const STEPS: [Step; 30] = [
     row("ros", 0.23, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it",
         python::check_node),
 ];
-
-/// A script of this checkout, to be started in the workspace's root.
-fn script(path: &str) -> Command {
-    let mut script = Command::new(root().join(path));
-    script.current_dir(root());
-    script
-}
 
 /// The hardware-in-the-loop suite with the tested daemon; its own arguments follow.
 fn suite(packages: &Packages, board: &str) -> Result<Command> {

@@ -69,44 +69,34 @@ pub(crate) fn main(arguments: &[String]) -> Result {
 
 /// Makes the folder of static files as they are published, and returns it.
 pub(crate) fn build_published() -> Result<PathBuf> {
-    build(|cargo| cargo)
+    build(|_| {})
 }
 
 /// Makes the folder of static files with further options of cargo, and returns it. Their size is bounded.
-fn build(options: fn(&mut Command) -> &mut Command) -> Result<PathBuf> {
+fn build(options: fn(&mut Command)) -> Result<PathBuf> {
     let tools = prerequisites::find("wasm_tools")?;
     let [linker, clang, archiver] = tools.lines().collect::<Vec<_>>()[..] else {
         return Err(failure!("wasm_tools found {tools:?}"));
     };
-    let target = target::folder()?;
-    let folder = target.join(CROSS);
+    let folder = target::folder()?.join(CROSS);
     let mut cargo = Compiler::find(WASM)?.cargo(root());
-    options(cargo.arg("rustc"))
+    options(cargo.arg("rustc"));
+    cargo
         .env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER", linker)
         // zstd is C.
         .env("CC_wasm32_unknown_unknown", clang)
         .env("AR_wasm32_unknown_unknown", archiver)
-        .args([
-            "--locked",
-            "--package",
-            "singletrack-web",
-            "--profile",
-            "web",
-        ])
-        .args([
-            "-Zbuild-std=std,panic_abort",
-            // Without what reads a trace of a panic.
-            "-Zbuild-std-features=panic-unwind",
-            "--target",
-            "wasm32-unknown-unknown",
-        ])
+        .args(["--locked", "--package", "singletrack-web"])
+        .args(["--profile", "web", "--target", "wasm32-unknown-unknown"])
+        .arg("-Zbuild-std=std,panic_abort")
+        // Without what reads a trace of a panic.
+        .arg("-Zbuild-std-features=panic-unwind")
         .arg("--target-dir")
         .arg(&folder)
         // Of 1 MiB by default, which overflows without a message.
         .args(["--", "-Clink-arg=-zstack-size=16777216"]);
     check(cargo.stdout(Stdio::null()))?;
-    let site = target.join("web/site");
-    target::empty(&site)?;
+    let site = target::emptied("web/site")?;
     copy(&root().join("web/static"), &site)?;
     for (from, to) in SHARED {
         target::put(&root().join(from), &site.join(to))?;
@@ -134,29 +124,20 @@ pub(crate) fn copy(from: &Path, to: &Path) -> Result {
 pub(crate) fn verify(packages: &Packages) -> Result {
     let site = build(|cargo| odroid::quickly(cargo, "web", &odroid::OTHERS[..2]))?;
     let node = |check: &str| {
-        let mut node = command("node");
-        node.current_dir(root())
-            .arg(format!("web/check/{check}.mjs"));
-        node.arg(&site);
+        let mut node = command(&format!("node web/check/{check}.mjs"));
+        node.current_dir(root()).arg(&site);
         node
     };
-    let trajectory = || {
-        let mut node = node("node");
-        node.arg("trajectory");
-        node
-    };
-    for scenarios in [&odroid::SCENARIOS[..], &SCENARIOS] {
-        let builds = ("this machine", "Node");
-        odroid::compare(packages, scenarios, builds, &trajectory)?;
-    }
-    let folder = target::folder()?.join("web/checked");
-    target::empty(&folder)?;
+    let scenarios = [&odroid::SCENARIOS[..], &SCENARIOS].concat();
+    let builds = "this machine and Node";
+    odroid::compare(packages, &scenarios, builds, |scenario| {
+        output(node("node").args(["trajectory", scenario]))
+    })?;
+    let folder = target::emptied("web/checked")?;
     let (scenario, record) = ("tools/scenarios/circle-car.toml", folder.join("drive.mcap"));
     let simulate = |option: &str| {
-        let mut simulate = Command::new(packages.path("singletrack")?);
-        simulate
-            .current_dir(root())
-            .args(["simulate", scenario, option]);
+        let mut simulate = packages.program("singletrack")?;
+        simulate.args(["simulate", scenario, option]);
         Ok(simulate)
     };
     silent(simulate("--record")?.arg(&record))?;
@@ -171,15 +152,8 @@ pub(crate) fn verify(packages: &Packages) -> Result {
 }
 
 fn check_size(site: &Path) -> Result {
-    let mut tar = command("tar --create --sort=name --directory");
     let archive = site.with_extension("tar.gz");
-    silent(
-        tar.arg(site)
-            .arg("--gzip")
-            .arg("--file")
-            .arg(&archive)
-            .arg("."),
-    )?;
+    target::pack(site, &archive)?;
     let size = fs::metadata(&archive).at(&archive)?.len();
     println!("all files after gzip: {size} bytes, at most {LARGEST}");
     require!(size <= LARGEST, "the files are too large");
@@ -188,11 +162,12 @@ fn check_size(site: &Path) -> Result {
 
 /// Compares processor times, the best of three runs each: other programs disturb some.
 fn check_speed(packages: &Packages, scenario: &str, node: &mut Command) -> Result {
-    let program = packages.path("trajectory")?;
+    let mut simulate = packages.program("trajectory")?;
+    simulate.arg(scenario);
     let mut native_s = f64::INFINITY;
     for _ in 0..3 {
         let before_s = processor_s();
-        output(Command::new(&program).arg(scenario).current_dir(root()))?;
+        output(&mut simulate)?;
         native_s = native_s.min(processor_s() - before_s);
     }
     let measured = text(node.arg("time").arg(scenario))?;

@@ -54,6 +54,18 @@ pub(crate) fn cargo(arguments: &str) -> Command {
     command
 }
 
+/// Lets cargo change a setting of a profile.
+pub(crate) fn configure(cargo: &mut Command, setting: &str) {
+    cargo.args(["--config", &format!("profile.{setting}")]);
+}
+
+/// A script of this checkout, to be started in the workspace's root.
+pub(crate) fn script(path: &str) -> Command {
+    let mut script = Command::new(root().join(path));
+    script.current_dir(root());
+    script
+}
+
 /// The cargo that runs this program, in the current folder.
 pub(crate) fn cargo_here() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
