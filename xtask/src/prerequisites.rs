@@ -1,7 +1,7 @@
 //! Prerequisites of the checks, which `prerequisites.sh` probes and installs.
 
 use std::{
-    path::PathBuf,
+    ffi::OsStr,
     process::{Command, Stdio},
 };
 
@@ -44,18 +44,13 @@ words! {
 
 /// Probes what parts of `prerequisites.sh` need, and installs or upgrades the packages of what is not
 /// met. Fails with one message about all that remains.
-pub(crate) fn ensure(parts: &[&str]) -> Result {
+pub(crate) fn ensure(parts: impl IntoIterator<Item: AsRef<OsStr>>) -> Result {
     answer(script("ensure").args(parts)).map(drop)
 }
 
 /// What a probe of `prerequisites.sh` prints.
 pub(crate) fn find(probe: &str) -> Result<String> {
     answer(script("find").args(probe.split(' ')))
-}
-
-/// A Python that creates environments.
-pub(crate) fn python() -> Result<PathBuf> {
-    find("find_python").map(PathBuf::from)
 }
 
 fn script(function: &str) -> Command {
@@ -80,7 +75,10 @@ fn answer(script: &mut Command) -> Result<String> {
 
 #[cfg(test)]
 mod tests {
-    use std::{env, fs, path::Path};
+    use std::{
+        env, fs,
+        path::{Path, PathBuf},
+    };
 
     use crate::toolchain::AVR;
 

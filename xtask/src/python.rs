@@ -8,7 +8,7 @@ use std::{
 
 use crate::{
     notes, prerequisites,
-    process::{At as _, Failure, Result, check, command, failure, silent},
+    process::{At as _, Failure, Result, check, failure, silent},
     programs::Packages,
     target,
     toolchain::AARCH64,
@@ -41,15 +41,11 @@ fn environment(name: &str, source: &Path, modules: &str) -> Result<PathBuf> {
     if fs::read(&installed).is_ok_and(|installed| installed == required) && works() {
         return Ok(python);
     }
-    let mut maker = Command::new(prerequisites::python()?);
+    let mut maker = Command::new(prerequisites::find("find_python")?);
+    maker.args(["-m", "venv", "--clear"]);
     // The wheels of ROS write into the environment and start its Python again.
-    let copies = is_ros.then_some("--copies");
-    silent(
-        maker
-            .args(["-m", "venv", "--clear"])
-            .args(copies)
-            .arg(&folder),
-    )?;
+    maker.args(is_ros.then_some("--copies"));
+    silent(maker.arg(&folder))?;
     println!("Installing Python packages into {}", folder.display());
     if is_ros {
         // Their builds need it.
@@ -128,8 +124,7 @@ pub(crate) fn check_package(packages: &Packages) -> Result {
     let source = root().join("python");
     let python = package_environment()?;
     let folder = target::emptied("python-package")?;
-    let mut lay_out = command("cp -r singletrack");
-    check(lay_out.arg(&folder).current_dir(&source))?;
+    target::copy(&source.join("singletrack"), &folder.join("singletrack"))?;
     let module = packages.library("lib_native.so")?;
     target::put(&module, &folder.join("singletrack/_native.abi3.so"))?;
     let mut metadata = Command::new(python.with_file_name("maturin"));

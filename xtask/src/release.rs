@@ -72,12 +72,7 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     let git = plan.tag.as_ref().map(|_| "git");
     let podman = plan.has("image").then_some("podman");
     let wasm = plan.has("book").then_some("wasm");
-    prerequisites::ensure(
-        &git.into_iter()
-            .chain(podman)
-            .chain(wasm)
-            .collect::<Vec<_>>(),
-    )?;
+    prerequisites::ensure(git.into_iter().chain(podman).chain(wasm))?;
     if let Some(tag) = &plan.tag {
         newest.check_tag(tag)?;
         check_clean()?;
@@ -107,10 +102,9 @@ pub(crate) fn parse(arguments: &[String]) -> Result<Plan> {
             (option, _) => return Err(failure!("unexpected argument {option:?}\n\n{USAGE}")),
         }
     }
-    let optional = STEPS.iter().filter(|step| step.scope == All);
-    let optional: Vec<&str> = optional.map(|step| step.name).collect();
     for name in &plan.without {
-        let known = optional.contains(&name.as_str());
+        let mut steps = STEPS.iter();
+        let known = steps.any(|step| step.scope == All && step.name == name);
         require!(known, "--without {name:?} is no such step\n\n{USAGE}");
     }
     let is_whole = plan.tag.is_none() || plan.without.is_empty();
@@ -176,7 +170,7 @@ fn book(_: &Packages) -> Result {
     let mut mdbook = Command::new(tools.join("bin/mdbook"));
     mdbook.args(["build", "docs", "--dest-dir"]).arg(&site);
     check(mdbook.current_dir(root()))?;
-    web::copy(&web::build_published()?, &site.join("laboratory"))?;
+    target::copy(&web::build_published()?, &site.join("laboratory"))?;
     let archive = folder()?.join(format!("singletrack-book-{VERSION}.tar.gz"));
     target::pack(&site, &archive)
 }

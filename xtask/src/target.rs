@@ -69,6 +69,11 @@ pub(crate) fn emptied(name: &str) -> Result<PathBuf> {
     Ok(folder)
 }
 
+/// Copies what a folder contains into another.
+pub(crate) fn copy(from: &Path, to: &Path) -> Result {
+    check(command("cp --recursive --no-target-directory").args([from, to]))
+}
+
 /// Packs the contents of a folder into an archive.
 pub(crate) fn pack(folder: &Path, archive: &Path) -> Result {
     let mut tar = command("tar --create --sort=name --gzip --file");

@@ -20,10 +20,6 @@ pub(crate) const AVR: &str = "compiler avr-none core";
 /// The same, with clippy of the same release.
 pub(crate) const AVR_CLIPPY: &str = "compiler avr-none core clippy";
 
-/// The folder in the target folder where both for Linux and for a browser are built: they share what
-/// runs while compiling.
-pub(crate) const CROSS: &str = "cross";
-
 /// A processor with Linux.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Target {
@@ -135,27 +131,38 @@ impl Target {
         self.set_up(maturin.arg("build"), "release").map(drop)
     }
 
-    /// Adds the arguments of a build by cargo, or by maturin, which has the same. The standard
-    /// library is built from its sources. Returns the folder of the programs.
     fn set_up(&self, command: &mut Command, profile: &str) -> Result<PathBuf> {
-        let folder = target::folder()?.join(CROSS);
-        let triple = self.triple.replace('-', "_");
         let gcc = format!("{}-gcc", self.gnu);
-        let linker = format!("CARGO_TARGET_{}_LINKER", triple.to_uppercase());
-        command
-            .env(linker, &gcc)
-            // zstd is C.
-            .env(format!("CC_{triple}"), &gcc)
-            .args(["--locked", "--profile", profile])
-            .args(["-Zbuild-std=std,panic_unwind", "--target", self.triple])
-            .arg("--target-dir")
-            .arg(&folder);
-        if profile != "release" {
-            // No trace of a panic, which takes a third of the standard library.
-            command.arg("-Zbuild-std-features=panic-unwind");
-        }
-        Ok(folder.join(self.triple).join(profile))
+        cross(command, self.triple, profile, "panic_unwind", [&gcc; 2])
     }
+}
+
+/// Adds the arguments of a build for another processor by cargo, or by maturin, which has the same. The
+/// standard library is built from its sources. Returns the folder of the programs.
+pub(crate) fn cross(
+    command: &mut Command,
+    triple: &str,
+    profile: &str,
+    panics: &str,
+    [linker, c_compiler]: [&str; 2],
+) -> Result<PathBuf> {
+    // Those for Linux and for a browser share what runs while compiling.
+    let folder = target::folder()?.join("cross");
+    let name = triple.replace('-', "_");
+    let of_linker = format!("CARGO_TARGET_{}_LINKER", name.to_uppercase());
+    command
+        .env(of_linker, linker)
+        // zstd is C.
+        .env(format!("CC_{name}"), c_compiler)
+        .args(["--locked", "--profile", profile, "--target", triple])
+        .arg(format!("-Zbuild-std=std,{panics}"))
+        .arg("--target-dir")
+        .arg(&folder);
+    if profile != "release" {
+        // No trace of a panic, which takes a third of the standard library.
+        command.arg("-Zbuild-std-features=panic-unwind");
+    }
+    Ok(folder.join(triple).join(profile))
 }
 
 #[cfg(test)]

@@ -93,7 +93,7 @@ pub(crate) fn quiet() -> Option<&'static str> {
 /// Installs the prerequisites of the image and others, builds simulator and image, for this car or
 /// for none (zero), and places them. Returns their folder.
 pub(crate) fn ensure(car_id: u16, others: &[&str]) -> Result<PathBuf> {
-    prerequisites::ensure(&[&["image"], others].concat())?;
+    prerequisites::ensure([&["image"], others].concat())?;
     build(car_id, || {
         let mut build = cargo("build --package singletrack-simavr-process");
         check(build.args(quiet()).stdout(Stdio::null()))

@@ -130,10 +130,7 @@ fn parse(arguments: &[String]) -> Result<Selection> {
     for option in options(arguments, &["--without"]) {
         match option {
             ("--all", None) => selection.all = true,
-            ("--without", None) => {
-                return Err(failure!("--without needs the names of parts\n\n{USAGE}"));
-            }
-            ("--without", Some(names)) => selection.leave_out(names)?,
+            ("--without", names) => selection.leave_out(names.unwrap_or_default())?,
             (unknown, _) if unknown.starts_with('-') => {
                 return Err(failure!("unknown option {unknown:?}\n\n{USAGE}"));
             }

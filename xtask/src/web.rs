@@ -13,7 +13,7 @@ use crate::{
     programs::Packages,
     step::processor_s,
     target,
-    toolchain::{CROSS, Compiler},
+    toolchain::{Compiler, cross},
     workspace::root,
 };
 
@@ -24,8 +24,8 @@ Build the laboratory for a browser into the folder web/site of the target folder
 Any server of static files serves it. Installs missing Debian packages.
 ";
 
-/// Searches the compiler for WebAssembly.
-const WASM: &str = "compiler wasm32-unknown-unknown std";
+/// The target of the compiler.
+const WASM: &str = "wasm32-unknown-unknown";
 
 /// Files of the page, which the laboratory shares, with their places.
 const SHARED: [(&str, &str); 7] = [
@@ -78,45 +78,25 @@ fn build(options: fn(&mut Command)) -> Result<PathBuf> {
     let [linker, clang, archiver] = tools.lines().collect::<Vec<_>>()[..] else {
         return Err(failure!("wasm_tools found {tools:?}"));
     };
-    let folder = target::folder()?.join(CROSS);
-    let mut cargo = Compiler::find(WASM)?.cargo(root());
+    let compiler = Compiler::find(&format!("compiler {WASM} std"))?;
+    let mut cargo = compiler.cargo(root());
     options(cargo.arg("rustc"));
+    let folder = cross(&mut cargo, WASM, "web", "panic_abort", [linker, clang])?;
     cargo
-        .env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER", linker)
-        // zstd is C.
-        .env("CC_wasm32_unknown_unknown", clang)
         .env("AR_wasm32_unknown_unknown", archiver)
-        .args(["--locked", "--package", "singletrack-web"])
-        .args(["--profile", "web", "--target", "wasm32-unknown-unknown"])
-        .arg("-Zbuild-std=std,panic_abort")
-        // Without what reads a trace of a panic.
-        .arg("-Zbuild-std-features=panic-unwind")
-        .arg("--target-dir")
-        .arg(&folder)
+        .args(["--package", "singletrack-web"])
         // Of 1 MiB by default, which overflows without a message.
         .args(["--", "-Clink-arg=-zstack-size=16777216"]);
     check(cargo.stdout(Stdio::null()))?;
     let site = target::emptied("web/site")?;
-    copy(&root().join("web/static"), &site)?;
+    target::copy(&root().join("web/static"), &site)?;
     for (from, to) in SHARED {
         target::put(&root().join(from), &site.join(to))?;
     }
-    let module = folder.join("wasm32-unknown-unknown/web/singletrack_web.wasm");
+    let module = folder.join("singletrack_web.wasm");
     target::put(&module, &site.join("singletrack.wasm"))?;
     check_size(&site)?;
     Ok(site)
-}
-
-/// Copies a folder.
-pub(crate) fn copy(from: &Path, to: &Path) -> Result {
-    for entry in fs::read_dir(from).at(from)?.flatten() {
-        let (path, to) = (entry.path(), to.join(entry.file_name()));
-        match path.is_dir() {
-            true => copy(&path, &to)?,
-            false => target::put(&path, &to)?,
-        }
-    }
-    Ok(())
 }
 
 /// Checks that the laboratory has the bits of the tested build, in Node and in Chromium, and the
