@@ -2,16 +2,14 @@
 //! placed where the simulator searches them: in `uno` in the target folder.
 
 use std::{
-    fs,
     io::{self, IsTerminal},
-    os::unix::fs::FileTypeExt,
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
 
 use crate::{
     gates, once, options, prerequisites,
-    process::{Result, check, command, failure, require, text},
+    process::{Result, check, command, failure, require, silent, text},
     target,
     toolchain::{AVR, AVR_CLIPPY, Compiler},
     workspace::{cargo, root},
@@ -159,44 +157,21 @@ pub(crate) fn check_image(folder: &Path, car_id: u16, measure: &mut Command) -> 
     Ok(())
 }
 
-/// Checks the port early, with clearer messages than avrdude's.
+/// The package's program that writes an image to an UNO. What it says about a port is clearer than what
+/// avrdude does.
+fn flasher() -> Command {
+    Command::new(root().join("packaging/debian/singletrack-flash"))
+}
+
 fn check_port(port: &Path) -> Result {
-    let name = port.display();
-    let metadata = fs::metadata(port).map_err(|error| {
-        failure!(
-            "{name}: {error}. Is the UNO plugged in? `ls /dev/serial/by-id /dev/ttyACM* \
-             /dev/ttyUSB*` lists the ports"
-        )
-    })?;
-    let is_port = metadata.file_type().is_char_device();
-    require!(is_port, "{name} is not a serial port");
-    // Opening it would reset the board.
-    let port = port.as_os_str();
-    let may_use = Command::new("test")
-        .args(["-r".as_ref(), port, "-a".as_ref(), "-w".as_ref(), port])
-        .status();
-    // Without this program, avrdude reports the error.
-    require!(
-        may_use.is_err() || may_use.is_ok_and(|status| status.success()),
-        "no permission for {name}: add yourself to the group that owns it, `sudo usermod \
-         --append --groups dialout $USER`, and log in again"
-    );
-    Ok(())
+    silent(flasher().arg("--check").arg(port))
 }
 
 /// Writes the image to the board's flash and verifies it.
 fn flash(elf: &Path, port: &Path) -> Result {
     let hex = elf.with_extension("hex");
     check(command("avr-objcopy -O ihex -R .eeprom").args([elf, &hex]))?;
-    let write = format!("flash:w:{}:i", hex.display());
-    let mut program = command("avrdude -p atmega328p -c arduino -b 115200 -D -P");
-    check(program.arg(port).args(["-U", &write])).map_err(|failure| {
-        let port = port.display();
-        failure!(
-            "{failure}. Does another program have {port} open, the daemon perhaps? Is it an UNO with \
-             its bootloader?"
-        )
-    })
+    check(flasher().args([port, &hex]))
 }
 
 #[cfg(test)]
