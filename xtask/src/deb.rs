@@ -69,7 +69,7 @@ impl Architecture {
             let mut cargo;
             (cargo, folder) = match self.foreign {
                 None => release_build()?,
-                Some(foreign) => foreign.cargo("build", "release")?,
+                Some(foreign) => foreign.build("release")?,
             };
             check(cargo.args(program_options(programs)).stdout(Stdio::null()))?;
         }

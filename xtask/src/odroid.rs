@@ -53,7 +53,7 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     let has_none = arguments.is_empty();
     require!(has_none, "unexpected arguments {arguments:?}\n\n{USAGE}");
     prerequisites::ensure(&["armhf"])?;
-    let folder = build(ARMHF.cargo("build", "release")?, INSTALLED)?;
+    let folder = build(ARMHF.build("release")?, INSTALLED)?;
     for program in ["singletrackd", "singletrack"] {
         println!("{}", folder.join(program).display());
     }
@@ -64,7 +64,7 @@ pub(crate) fn main(arguments: &[String]) -> Result {
 /// as here. The programs that are installed are built and run by `cargo deb`.
 pub(crate) fn verify(packages: &Packages) -> Result {
     // The profile is that of the browser's module, which has the same helpers of the compiler.
-    let (mut cargo, folder) = ARMHF.cargo("build", "web")?;
+    let (mut cargo, folder) = ARMHF.build("web")?;
     quickly(&mut cargo, "web", &OTHERS);
     configure(&mut cargo, "web.panic=\"unwind\"");
     configure(&mut cargo, "web.opt-level=0");
@@ -91,7 +91,7 @@ pub(crate) fn quickly(cargo: &mut Command, profile: &str, plain: &[&str]) {
 pub(crate) fn compare_installed(packages: &Packages) -> Result {
     let optimised = build(release_build()?, TRAJECTORY)?.join("trajectory");
     compare_native(packages, &optimised)?;
-    compare_emulated(packages, ARMHF.cargo("build", "release")?, TRAJECTORY)
+    compare_emulated(packages, ARMHF.build("release")?, TRAJECTORY)
 }
 
 /// Compares the bits of a build for the Odroid with such options, whose folder is given.

@@ -4,6 +4,7 @@
 use std::{
     fmt::Write as _,
     fs,
+    process::Command,
     time::{Duration, Instant},
 };
 
@@ -144,7 +145,7 @@ fn table(costs: &[Cost], wall: Duration, demo_s: f64) -> String {
 }
 
 /// User and system time of all processes that this one has started and that have ended.
-pub(crate) fn processor_s() -> f64 {
+fn processor_s() -> f64 {
     /// Linux reports times in units of 10 ms on every processor of today.
     const UNIT_S: f64 = 0.01;
     let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
@@ -159,7 +160,7 @@ fn children_ticks(stat: &str) -> Option<u64> {
     Some(next()? + next()?)
 }
 
-/// The sample is compiled this often; the least time counts, which other work on the machine disturbs least.
+/// The sample is compiled this often.
 const SAMPLES: u32 = 4;
 
 /// Processor time of `cargo demo` from nothing, as a multiple of that of the sample. Measured in one
@@ -171,16 +172,22 @@ pub(crate) fn demo_s() -> Result<f64> {
     let folder = target::emptied("yardstick")?;
     let file = folder.join("sample.rs");
     fs::write(&file, sample()).at(&file)?;
+    let mut rustc = command(
+        "rustc --edition 2024 --crate-type lib -C opt-level=1 -C codegen-units=1 --out-dir",
+    );
+    Ok(SAMPLES_IN_A_DEMO * least_s(SAMPLES, rustc.args([&folder, &file]))?)
+}
+
+/// Processor time of a command that runs this often: the least one, which other work on the machine
+/// disturbs least.
+pub(crate) fn least_s(runs: u32, command: &mut Command) -> Result<f64> {
     let mut least_s = f64::INFINITY;
-    for _ in 0..SAMPLES {
+    for _ in 0..runs {
         let before_s = processor_s();
-        let mut rustc = command(
-            "rustc --edition 2024 --crate-type lib -C opt-level=1 -C codegen-units=1 --out-dir",
-        );
-        silent(rustc.args([&folder, &file]))?;
+        silent(command)?;
         least_s = least_s.min(processor_s() - before_s);
     }
-    Ok(SAMPLES_IN_A_DEMO * least_s)
+    Ok(least_s)
 }
 
 /// A library that depends on nothing but the standard library, and is always the same.

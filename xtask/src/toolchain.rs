@@ -117,11 +117,10 @@ impl Target {
         Compiler::find(&format!("compiler {} std", self.triple))
     }
 
-    /// A command of cargo for this processor, and the folder of the programs of a profile.
-    pub(crate) fn cargo(&self, command: &str, profile: &str) -> Result<(Command, PathBuf)> {
+    /// `cargo build` for this processor, and the folder of the programs of a profile.
+    pub(crate) fn build(&self, profile: &str) -> Result<(Command, PathBuf)> {
         let mut cargo = self.compiler()?.cargo(root());
-        cargo.arg(command);
-        let folder = self.set_up(&mut cargo, profile)?;
+        let folder = self.set_up(cargo.arg("build"), profile)?;
         Ok((cargo, folder))
     }
 

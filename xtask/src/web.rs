@@ -11,7 +11,7 @@ use crate::{
     odroid, prerequisites,
     process::{At as _, Result, check, command, failure, output, require, silent, text},
     programs::Packages,
-    step::processor_s,
+    step::least_s,
     target,
     toolchain::{Compiler, cross},
     workspace::root,
@@ -140,16 +140,10 @@ fn check_size(site: &Path) -> Result {
     Ok(())
 }
 
-/// Compares processor times, the best of three runs each: other programs disturb some.
+/// Compares processor times, the best of three runs each.
 fn check_speed(packages: &Packages, scenario: &str, node: &mut Command) -> Result {
     let mut simulate = packages.program("trajectory")?;
-    simulate.arg(scenario);
-    let mut native_s = f64::INFINITY;
-    for _ in 0..3 {
-        let before_s = processor_s();
-        output(&mut simulate)?;
-        native_s = native_s.min(processor_s() - before_s);
-    }
+    let native_s = least_s(3, simulate.arg(scenario))?;
     let measured = text(node.arg("time").arg(scenario))?;
     let wasm_s: f64 = measured
         .trim()
