@@ -53,11 +53,13 @@ NAMESPACE = "/car7"
 TOO_LATE = 0.04
 REPEAT = 75
 
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+CONFIGURATION = ROOT / "host/daemon/singletrackd.example.toml"
+MESSAGES = ROOT / "host/record/msg/singletrack_msgs"
+
 ARGUMENTS = argparse.ArgumentParser()
 ARGUMENTS.add_argument("programs", type=pathlib.Path)
 ARGUMENTS.add_argument("folder", type=pathlib.Path)
-ARGUMENTS.add_argument("--configuration", type=pathlib.Path, required=True)
-ARGUMENTS.add_argument("--messages", type=pathlib.Path, required=True, help="singletrack_msgs")
 ARGUMENTS.add_argument("--drive", type=float, default=6.0, help="seconds of each drive")
 ARGUMENTS.add_argument("--stalled", type=float, default=5.0, help="seconds of a stopped subscriber")
 ARGUMENTS.add_argument("--stall", action="store_true", help="be the subscriber that is stopped")
@@ -251,7 +253,7 @@ class System:
         self.options = ("--namespace", namespace, *options)
         self.socket = self.folder / "control.sock"
         board = self.folder / "board"
-        text = arguments.configuration.read_text()
+        text = CONFIGURATION.read_text()
         for pattern, value in (
             (r"^port = .*", f'port = "{board}"'),
             (r"^server = .*", 'server = "127.0.0.1"'),
@@ -716,7 +718,7 @@ def main():
         time.sleep(0.5)
         for raws in lab.raw.values():
             raws.clear()
-        check_messages(arguments.messages)
+        check_messages(MESSAGES)
         check_description(lab, NAMESPACE, "base_link")
         check_latency(lab)
         check_velocity(lab, system, arguments)

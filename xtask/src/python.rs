@@ -187,16 +187,11 @@ pub(crate) fn check_node(packages: &Packages) -> Result {
     let source = root().join("tests/ros");
     let modules = "rclpy, ackermann_msgs.msg, tf2_msgs.msg";
     let python = environment("ros-venv", &source, modules)?;
-    let programs = packages.path("")?;
     let mut drive = script("xtask/src/isolated.sh");
     drive
         .arg(python)
         .arg(source.join("check.py"))
-        .args([&programs, &target::folder()?.join("ros")])
-        .arg("--configuration")
-        .arg(root().join("host/daemon/singletrackd.example.toml"))
-        .arg("--messages")
-        .arg(root().join("host/record/msg/singletrack_msgs"))
+        .args([&packages.path("")?, &target::folder()?.join("ros")])
         // The variables of an installed ROS do not count.
         .env_clear()
         .envs(std::env::vars_os().filter(|(name, _)| name == "PATH" || name == "HOME"));
