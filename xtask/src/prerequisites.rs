@@ -8,7 +8,7 @@ use std::{
 use crate::words;
 
 use crate::{
-    process::{Failure, Result, failure},
+    process::{Result, failure},
     workspace::root,
 };
 
@@ -63,13 +63,10 @@ fn script(function: &str) -> Command {
 fn answer(script: &mut Command) -> Result<String> {
     let output = script.stdin(Stdio::null()).output();
     let output = output.map_err(|error| failure!("prerequisites.sh does not start: {error}"))?;
-    let text = String::from_utf8_lossy(&output.stdout)
-        .trim_end()
-        .to_owned();
-    if output.status.success() {
-        Ok(text)
-    } else {
-        Err(Failure::Failed(text))
+    let text = String::from_utf8_lossy(&output.stdout);
+    match output.status.success() {
+        true => Ok(text.trim_end().to_owned()),
+        false => Err(failure!("{}", text.trim_end())),
     }
 }
 

@@ -101,25 +101,27 @@ pub(crate) fn ensure(car_id: u16, others: &[&str]) -> Result<PathBuf> {
 /// Builds the image and the simulator, and places both. Returns their folder.
 pub(crate) fn build(car_id: u16, build_simulator: impl FnOnce() -> Result) -> Result<PathBuf> {
     let target = target::folder()?;
-    let mut build = uno_cargo(&Compiler::find(AVR)?, "build", &target);
+    let mut build = image_build(&Compiler::find(AVR)?, &target);
     build.args(quiet()).env(CAR_ID, car_id.to_string());
     check(build.stdout(Stdio::null()))?;
     build_simulator()?;
     let folder = target.join("uno");
-    for (from, name) in [
-        ("uno-build/avr-none/release", IMAGE),
-        ("uno-build/avr-none/release", CYCLES),
-        ("debug", "singletrack-simavr"),
-    ] {
-        target::put(&target.join(from).join(name), &folder.join(name))?;
+    let built = target.join("uno-build/avr-none/release");
+    for image in [IMAGE, CYCLES] {
+        target::put(&built.join(image), &folder.join(image))?;
     }
+    let simulator = "singletrack-simavr";
+    target::put(
+        &target.join("debug").join(simulator),
+        &folder.join(simulator),
+    )?;
     Ok(folder)
 }
 
 /// Checks that the image builds without warnings of compiler, clippy and rustdoc.
 pub(crate) fn lint() -> Result {
     let compiler = Compiler::find(AVR_CLIPPY)?;
-    let mut build = uno_cargo(&compiler, "build", &target::folder()?);
+    let mut build = image_build(&compiler, &target::folder()?);
     once::wrap(&mut build, &compiler.clippy())?;
     // RUSTFLAGS would replace the image's own flags.
     check(build.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]))
@@ -130,15 +132,14 @@ pub(crate) fn folder() -> PathBuf {
     root().join("firmware/uno")
 }
 
-/// The common part of all commands. The image's `.cargo/config.toml` has the other
-/// options.
-fn uno_cargo(compiler: &Compiler, command: &str, target: &Path) -> Command {
+/// `cargo build` for the image, whose `.cargo/config.toml` has the other options.
+fn image_build(compiler: &Compiler, target: &Path) -> Command {
     let mut cargo = compiler.cargo(&folder());
     cargo
         // Suppresses the warning that AVR's linker does not support -no-pie.
         .env("RUSTC_LOG", "error")
         .env(CAR_ID, "0")
-        .args([command, "--release", "--locked", "--target-dir"])
+        .args(["build", "--release", "--locked", "--target-dir"])
         .arg(target.join("uno-build"));
     cargo
 }

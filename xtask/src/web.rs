@@ -145,10 +145,8 @@ fn check_speed(packages: &Packages, scenario: &str, node: &mut Command) -> Resul
     let mut simulate = packages.program("trajectory")?;
     let native_s = least_s(3, simulate.arg(scenario))?;
     let measured = text(node.arg("time").arg(scenario))?;
-    let wasm_s: f64 = measured
-        .trim()
-        .parse()
-        .map_err(|_| failure!("Node printed {measured:?}"))?;
+    let wasm_s = measured.trim().parse::<f64>();
+    let wasm_s = wasm_s.map_err(|_| failure!("Node printed {measured:?}"))?;
     let speed = native_s / wasm_s;
     println!("{scenario}: {native_s:.3} s here, {wasm_s:.3} s in Node, {speed:.2} of the speed");
     let is_slow = speed < LEAST_SPEED;

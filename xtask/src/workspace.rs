@@ -22,15 +22,14 @@ pub(crate) fn find() -> Result<PathBuf> {
     // Set by cargo for the program that it runs.
     let manifest = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
     let here = env::current_dir().ok();
-    manifest
-        .iter()
-        .chain(&here)
-        .flat_map(|start| start.ancestors())
-        .find(|folder| is_root(folder))
-        .map(Path::to_path_buf)
-        .ok_or_else(|| {
-            failure!("not in a checkout of Singletrack: run `cargo verify` and the other commands inside one")
-        })
+    let starts = manifest.iter().chain(&here);
+    let mut folders = starts.flat_map(|start| start.ancestors());
+    let root = folders.find(|folder| is_root(folder));
+    root.map(Path::to_path_buf).ok_or_else(|| {
+        failure!(
+            "not in a checkout of Singletrack: run `cargo verify` and the other commands inside one"
+        )
+    })
 }
 
 fn is_root(folder: &Path) -> bool {
