@@ -2,7 +2,6 @@
 //! machine is, is the processor time of `cargo demo` from nothing, which is mostly compiling.
 
 use std::{
-    fmt::Write as _,
     fs,
     process::Command,
     time::{Duration, Instant},
@@ -190,30 +189,12 @@ pub(crate) fn least_s(runs: u32, command: &mut Command) -> Result<f64> {
     Ok(least_s)
 }
 
-/// A library that depends on nothing but the standard library, and is always the same.
+/// A library that depends on nothing but the standard library, and is always the same: modules that differ
+/// in a number.
 fn sample() -> String {
-    let mut text = String::new();
-    for number in 0..4 {
-        let _ = write!(
-            text,
-            "pub mod part{number} {{
-    use std::collections::BTreeMap;
-    #[derive(Clone, Debug, Default, PartialEq, PartialOrd)]
-    pub struct Row {{ pub name: String, pub values: Vec<f64>, pub places: BTreeMap<u32, [f32; 3]> }}
-    pub fn read(text: &str) -> Result<Vec<Row>, std::num::ParseFloatError> {{
-        let mut rows = text.lines().map(|line| {{
-            let values = line.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>()?;
-            let places = values.iter().map(|value| (*value as u32, [*value as f32; 3])).collect();
-            Ok(Row {{ name: format!(\"{{line:>{number}}}\"), values, places }})
-        }}).collect::<Result<Vec<_>, _>>()?;
-        rows.sort_by(|one, other| one.name.cmp(&other.name));
-        Ok(rows)
-    }}
-}}
-"
-        );
-    }
-    text
+    let modules =
+        (0..4).map(|number| include_str!("sample.txt").replace("NUMBER", &number.to_string()));
+    modules.collect()
 }
 
 #[cfg(test)]
