@@ -7,7 +7,8 @@ use std::{
 };
 
 use crate::{
-    notes, options,
+    notes::{self, VERSION},
+    options,
     prerequisites::Part,
     process::{At as _, Result, check, command, failure, require, silent, text},
     programs::{INSTALLED, NODE, Packages, program_options, release_build},
@@ -82,11 +83,10 @@ impl Architecture {
         let folder = target::folder()?;
         let packages = folder.join("debian");
         let stage = folder.join("debian-stage").join(&self.name);
-        let version = env!("CARGO_PKG_VERSION");
         let date = notes::newest()?.date;
         let mut lay_out = script("xtask/src/debian.sh");
         lay_out.args([&stage, &packages]);
-        silent(lay_out.args([&self.name, version, date.as_deref().unwrap_or("now")]))?;
+        silent(lay_out.args([&self.name, VERSION, date.as_deref().unwrap_or("now")]))?;
         let mut contents = vec![("singletrack", &INSTALLED[..])];
         if has_node {
             contents.push((NODE.0, &[NODE]));
@@ -115,7 +115,7 @@ impl Architecture {
                 .args(["--command", "debian/rules", "binary", "inspect"]),
         )?;
         let file = |(package, _): &(&str, _)| {
-            packages.join(format!("{package}_{version}_{}.deb", self.name))
+            packages.join(format!("{package}_{VERSION}_{}.deb", self.name))
         };
         Ok(contents.iter().map(file).collect())
     }

@@ -1,6 +1,6 @@
 //! Checks of the image: forbidden symbols, and use of flash, SRAM and processor.
 
-use std::{fmt::Write as _, path::Path, process::Command};
+use std::{path::Path, process::Command};
 
 use crate::process::{Failure, failure, text};
 
@@ -98,13 +98,12 @@ pub(crate) fn judge(
     let greeted = find(&figures, "car-id", "greeted")?;
     let why = format!("the image is for car {car_id}, and greets as car {greeted}");
     wrong.extend((greeted != f64::from(car_id)).then_some(why));
-    let mut table = String::new();
-    for (name, value, unit) in figures {
+    let table = figures.into_iter().map(|(name, value, unit)| {
         let budget = BUDGETS.iter().find(|budget| budget.0 == name);
         let budget = budget.map_or(String::new(), |(_, most, _)| format!("  of {most}"));
-        let _ = writeln!(table, "{name:30} {value:>9} {unit}{budget}");
-    }
-    Ok((table, wrong))
+        format!("{name:30} {value:>9} {unit}{budget}\n")
+    });
+    Ok((table.collect(), wrong))
 }
 
 /// Name, value and unit. Only the name may contain blanks.

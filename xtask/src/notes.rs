@@ -3,7 +3,6 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fmt::Write as _,
     fs, io,
     path::Path,
 };
@@ -15,7 +14,8 @@ use crate::{
     workspace::{cargo, root},
 };
 
-const VERSION: &str = env!("CARGO_PKG_VERSION");
+/// The version of the workspace.
+pub(crate) const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// The newest section of the changelog.
 #[derive(Debug, PartialEq, Eq)]
@@ -138,16 +138,12 @@ fn read(folder: &Path) -> io::Result<BTreeSet<String>> {
 }
 
 fn page(libraries: &BTreeMap<String, &str>, of_notice: &BTreeMap<String, Vec<&str>>) -> String {
-    let mut text =
-        "Libraries that are compiled into the programs of Singletrack, and their licences\n\n"
-            .to_owned();
-    for (library, licence) in libraries {
-        let _ = writeln!(text, "{library}: {licence}");
-    }
-    for (notice, of) in of_notice {
-        let _ = write!(text, "\n\n==== {}\n\n{notice}\n", of.join(", "));
-    }
-    text
+    let title = "Libraries that are compiled into the programs of Singletrack, and their licences";
+    let library = |(library, licence)| format!("{library}: {licence}\n");
+    let libraries: String = libraries.iter().map(library).collect();
+    let notice = |(text, of): (_, &Vec<&str>)| format!("\n\n==== {}\n\n{text}\n", of.join(", "));
+    let notices: String = of_notice.iter().map(notice).collect();
+    format!("{title}\n\n{libraries}{notices}")
 }
 
 #[cfg(test)]

@@ -7,7 +7,9 @@ use std::{
 };
 
 use crate::{
-    deb, notes, odroid, options, prerequisites,
+    deb,
+    notes::{self, VERSION},
+    odroid, options, prerequisites,
     process::{At as _, Result, check, command, failure, require, silent, text},
     programs::{INSTALLED, NODE, PUBLISHED, Packages, check_published, release_build},
     python,
@@ -31,8 +33,6 @@ and installs missing packages. Publishes nothing.
   --without STEP  leave out crates, book, debian, drive, image or wheels
   -h, --help      print this help
 ";
-
-const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// The folder of the files, in the target folder.
 const FOLDER: &str = concat!("release-", env!("CARGO_PKG_VERSION"));
