@@ -25,11 +25,11 @@ Installs missing Debian packages.
 /// Cargo's options for the programs of the car.
 const INSTALLED: &str = "--package singletrackd --package singletrack";
 
-/// Cargo's options for what is checked of them: the daemon, the procedures, the tool as `cargo demo`
-/// builds it, and a trajectory. `cargo release` builds all of them.
+/// Cargo's options for what is checked of them: the libraries of the daemon, of the procedures and of the
+/// tool as `cargo demo` builds it, and a trajectory. `cargo release` builds and links all of them.
 const CHECKED: &str = "--package singletrackd --package singletrack-commissioning \
                        --package singletrack --package singletrack-scenario --no-default-features \
-                       --features singletrack-scenario/files";
+                       --features singletrack-scenario/files --lib --bin trajectory";
 
 /// Cargo's options for a program that simulates a scenario, and nothing else.
 const TRAJECTORY: &str = "--package singletrack-scenario --bin trajectory --no-default-features \
