@@ -42,7 +42,7 @@
 //! [`planted::BUGS`] has a bug for each, and `tests/planted.rs` checks that it is found.
 //!
 //! To add a fault: a line in `schedule/kind.rs` and its effect in `network.rs`,
-//! `setting.rs` or `drive.rs`. To add a property of the car: a line in
+//! `setting.rs` or `drive/`. To add a property of the car: a line in
 //! `schedule/mod.rs` and its effect in `setting.rs`. To add an invariant: a type in
 //! `invariant/`, a line in its list, a planted bug.
 
