@@ -11,7 +11,7 @@ use singletrack_record::{Value, write_json_object};
 use super::{
     DumpError,
     select::check_field,
-    source::{Kind, Row, Source, TIME},
+    source::{Kind, Row, TIME},
 };
 use crate::help::printable;
 
@@ -49,12 +49,10 @@ pub(super) struct Printer<'a, W: Write> {
 enum Column {
     /// The name of the row's kind.
     Topic,
-    /// The field with this index.
-    Field(usize),
+    /// The field with this index, if the kind has it.
+    Field(Option<usize>),
     /// Fields, each with its name.
     Content(Vec<usize>),
-    /// The kind has no such field.
-    Nothing,
 }
 
 impl<'a, W: Write> Printer<'a, W> {
@@ -87,28 +85,24 @@ impl<'a, W: Write> Printer<'a, W> {
             }
             (_, wanted) => [&["topic".to_owned()], wanted].concat(),
         };
-        let columns = |kind: &Kind| -> Vec<Column> {
-            let own = 0..kind.own_fields().len();
-            if json && wanted.is_empty() {
-                return [own.end]
-                    .into_iter()
-                    .chain(own)
-                    .map(Column::Field)
-                    .collect();
+        let column = |kind: &Kind, name: &str| match name {
+            "topic" if several => Column::Topic,
+            "content" if several => {
+                let shown = match format {
+                    Format::Table => &kind.brief,
+                    Format::Json | Format::Csv => kind.own_fields(),
+                };
+                let content = shown.iter().filter(|name| !header.contains(name));
+                Column::Content(content.filter_map(|name| kind.index(name)).collect())
             }
-            let column = |name: &String| match name.as_str() {
-                "topic" if several => Column::Topic,
-                "content" if several => {
-                    let shown = match format {
-                        Format::Table => &kind.brief,
-                        Format::Json | Format::Csv => kind.own_fields(),
-                    };
-                    let content = shown.iter().filter(|name| !header.contains(name));
-                    Column::Content(content.filter_map(|name| kind.index(name)).collect())
-                }
-                name => kind.index(name).map_or(Column::Nothing, Column::Field),
-            };
-            header.iter().map(column).collect()
+            name => Column::Field(kind.index(name)),
+        };
+        let columns = |kind: &Kind| -> Vec<_> {
+            if json && wanted.is_empty() {
+                let names = kind.fields.last().into_iter().chain(kind.own_fields());
+                return names.map(|name| Column::Field(kind.index(name))).collect();
+            }
+            header.iter().map(|name| column(kind, name)).collect()
         };
         let mut printer = Self {
             output,
@@ -144,13 +138,8 @@ impl<'a, W: Write> Printer<'a, W> {
         !self.whole
     }
 
-    /// Prints the row that the source is at; `values` are its fields, if they are needed.
-    pub(super) fn print(
-        &mut self,
-        row: &Row,
-        values: &[Value],
-        source: &mut dyn Source,
-    ) -> Result<(), DumpError> {
+    /// Prints a row; `values` are its fields, if they are needed.
+    pub(super) fn print(&mut self, mut row: Row<'_>, values: &[Value]) -> Result<(), DumpError> {
         let (Some(kind), Some(columns)) = (self.kinds.get(row.kind), self.columns.get(row.kind))
         else {
             return Ok(());
@@ -158,10 +147,14 @@ impl<'a, W: Write> Printer<'a, W> {
         let text = &mut self.text;
         let begin = text.len();
         match self.format {
-            _ if self.whole => source.write_json(text)?,
+            _ if self.whole => row.message.write_json(text)?,
             Format::Json => {
                 let fields = columns.iter().filter_map(|column| match column {
-                    Column::Field(at) => Some((kind.fields.get(*at)?.as_str(), values.get(*at)?)),
+                    Column::Field(at) => kind
+                        .fields
+                        .get((*at)?)
+                        .map(String::as_str)
+                        .zip(values.get((*at)?)),
                     _ => None,
                 });
                 write_json_object(text, kind.name, fields);
@@ -172,9 +165,9 @@ impl<'a, W: Write> Printer<'a, W> {
                         text.push(',');
                     }
                     match column {
-                        Column::Field(at) => match values.get(*at) {
-                            Some(Value::Text(value)) => push_csv_text(text, value),
-                            value => value.unwrap_or(&Value::Absent).push_to(text),
+                        Column::Field(at) => match value(values, *at) {
+                            Value::Text(value) => push_csv_text(text, value),
+                            value => value.push_to(text),
                         },
                         column => {
                             self.cell.clear();
@@ -234,7 +227,7 @@ impl Column {
     ) {
         match self {
             Self::Topic => cell.push_str(kind.name),
-            Self::Field(at) => push(values.get(*at).unwrap_or(&Value::Absent), cell),
+            Self::Field(at) => push(value(values, *at), cell),
             Self::Content(fields) => {
                 let mut gap = "";
                 for at in fields {
@@ -250,9 +243,13 @@ impl Column {
                     }
                 }
             }
-            Self::Nothing => push(&Value::Absent, cell),
         }
     }
+}
+
+/// The value of the field with this index, if the kind has it.
+fn value(values: &[Value], at: Option<usize>) -> &Value {
+    at.and_then(|at| values.get(at)).unwrap_or(&Value::Absent)
 }
 
 /// Adds a value as a person reads it.

@@ -1,25 +1,18 @@
 //! Frames on the line itself, whole and broken ones: from a serial port, or from a capture of its
 //! bytes.
 
-use std::{
-    borrow::Cow,
-    fs::File,
-    io::{self, Read},
-    os::fd::AsFd as _,
-    path::Path,
-    thread,
-    time::Instant,
-};
+use std::{borrow::Cow, fs::File, io, os::fd::AsFd, task::Poll, thread, time::Instant, vec};
 
+use rustix::io::Errno;
 use singletrack_protocol::{
     DecodeError, Decoder, FrameError, MAX_PAYLOAD_LENGTH, Packet, ToHost, VERSION,
 };
 use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Value};
-use singletrackd::serial_port::{self, ReadHalf};
+use singletrackd::serial_port;
 
 use super::{
-    DumpError,
-    source::{Close, Kind, Message, Next, PATIENCE, Row, Source, TELEMETRY, Times, wall_ns},
+    DumpArgs, DumpError,
+    source::{Close, Kind, Message, Next, PATIENCE, Place, Row, Source, TELEMETRY, wall_ns},
 };
 use crate::operator::terminal::wait_to_read;
 
@@ -31,33 +24,34 @@ const SHOWN_BYTES: usize = 64;
 const RESTART_US: i32 = -1_000_000;
 
 /// What a stretch of bytes up to a zero holds.
-struct Frame {
+pub(super) struct Frame {
     /// The name of its kind.
     name: &'static str,
-    fields: Vec<(String, Value)>,
+    pub(super) fields: Vec<(String, Value)>,
     /// The message as a record has it, if it has any.
-    entry: Option<Entry>,
+    pub(super) entry: Option<Box<Entry>>,
     /// Why it is no frame, in a word.
-    broken: Option<&'static str>,
-    /// Where it begins, in bytes from the start.
-    offset: u64,
-    /// How many bytes it has, with the zero that ends it.
-    length: u64,
+    pub(super) broken: Option<&'static str>,
 }
 
 impl Frame {
-    fn new(name: &'static str, fields: Vec<(&str, Value)>) -> Self {
-        let fields = fields.into_iter();
+    fn new<const N: usize>(name: &'static str, fields: [(&str, Value); N]) -> Self {
+        let fields = fields.map(|(name, value)| (name.to_owned(), value));
         Self {
             name,
-            fields: fields
-                .map(|(name, value)| (name.to_owned(), value))
-                .collect(),
+            fields: fields.into(),
             entry: None,
             broken: None,
-            offset: 0,
-            length: 0,
         }
+    }
+
+    /// With its place as its first fields: where it begins, in bytes from the start, and how many bytes
+    /// it has, with the zero that ends it.
+    fn at(mut self, offset: u64, length: u64) -> Self {
+        let place = [("offset", offset), ("length", length)];
+        let place = place.map(|(name, value)| (name.to_owned(), Value::Unsigned(value)));
+        self.fields.splice(0..0, place);
+        self
     }
 
     /// The row of a message of the board.
@@ -65,12 +59,14 @@ impl Frame {
         match message {
             ToHost::Hello(hello) => {
                 let version = hello.software_version.map(|part| part.to_string());
-                let fields = vec![
-                    ("protocol_version", number(hello.protocol_version)),
-                    ("software_version", text(version.join("."))),
-                    ("nonce", number(hello.nonce)),
-                ];
-                Self::new("hello", fields)
+                Self::new(
+                    "hello",
+                    [
+                        ("protocol_version", number(hello.protocol_version)),
+                        ("software_version", text(version.join("."))),
+                        ("nonce", number(hello.nonce)),
+                    ],
+                )
             }
             ToHost::Telemetry(telemetry) => Self::of_entry(Entry::Telemetry(TelemetryRecord {
                 receive_time_ns: 0,
@@ -82,24 +78,24 @@ impl Frame {
                 receive_time_ns: 0,
                 status: *status,
             })),
-            ToHost::Acknowledgement(answer) => {
-                let fields = vec![
+            ToHost::Acknowledgement(answer) => Self::new(
+                "acknowledgement",
+                [
                     ("request", text(answer.request.name())),
                     ("sequence", number(answer.sequence.0)),
                     ("configuration_hash", number(answer.configuration_hash)),
-                ];
-                Self::new("acknowledgement", fields)
-            }
-            ToHost::Refusal(answer) => {
-                let fields = vec![
+                ],
+            ),
+            ToHost::Refusal(answer) => Self::new(
+                "refusal",
+                [
                     ("request", text(answer.request.name())),
                     ("sequence", number(answer.sequence.0)),
                     ("reason", text(answer.reason.name())),
-                ];
-                Self::new("refusal", fields)
-            }
+                ],
+            ),
             ToHost::Identity(identity) => {
-                Self::new("identity", vec![("car_id", number(identity.car_id))])
+                Self::new("identity", [("car_id", number(identity.car_id))])
             }
         }
     }
@@ -112,20 +108,20 @@ impl Frame {
         let fields = fields.skip_while(|(name, _)| name != "board_time_us");
         Self {
             fields: fields.collect(),
-            entry: Some(entry),
-            ..Self::new(name, Vec::new())
+            entry: Some(Box::new(entry)),
+            ..Self::new(name, [])
         }
     }
 
     /// Bytes that are no frame: why, in a word and in a sentence, and the first of them.
-    fn broken(reason: &'static str, detail: &impl ToString, bytes: &[u8]) -> Self {
+    fn broken(reason: &'static str, detail: impl Into<Cow<'static, str>>, bytes: &[u8]) -> Self {
         let mut shown: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         if shown.len() == SHOWN_BYTES {
             shown.push("...".to_owned());
         }
-        let fields = vec![
+        let fields = [
             ("reason", text(reason)),
-            ("detail", text(detail.to_string())),
+            ("detail", text(detail)),
             ("bytes", text(shown.join(" "))),
         ];
         Self {
@@ -135,10 +131,10 @@ impl Frame {
     }
 
     /// The board's clock when it was made, if the message holds it: in µs, wrapping.
-    const fn board_time_us(&self) -> Option<u32> {
-        match &self.entry {
-            Some(Entry::Telemetry(record)) => Some(record.telemetry.board_time_us),
-            Some(Entry::Status(record)) => Some(record.status.board_time_us),
+    fn board_time_us(&self) -> Option<u32> {
+        match self.entry.as_deref()? {
+            Entry::Telemetry(record) => Some(record.telemetry.board_time_us),
+            Entry::Status(record) => Some(record.status.board_time_us),
             _ => None,
         }
     }
@@ -167,30 +163,37 @@ pub(super) fn kinds() -> Vec<Kind> {
     let messages = (0..=u8::MAX).filter_map(example);
     let frames = messages.map(|message| Frame::of(&message));
     let kind = |frame: Frame| {
-        let own = frame.fields.into_iter().map(|(name, _)| name);
-        let place = ["offset", "length"].map(str::to_owned);
-        let brief = match &frame.entry {
+        let brief = match frame.entry.as_deref() {
             Some(Entry::Telemetry(_)) => &format!("offset length board_time_us {TELEMETRY}"),
             _ => "",
         };
-        Kind::new(frame.name, place.into_iter().chain(own).collect(), brief)
+        let Frame { name, fields, .. } = frame.at(0, 0);
+        Kind::new(
+            name,
+            fields.into_iter().map(|(name, _)| name).collect(),
+            brief,
+        )
     };
-    frames
-        .chain([Frame::broken("", &"", &[])])
-        .map(kind)
-        .collect()
+    let broken = Frame::broken("", "", &[]);
+    frames.chain([broken]).map(kind).collect()
 }
 
 /// The frames of a line.
 pub(super) struct Line<'a> {
     name: String,
-    input: Input,
-    clock: Clock,
+    input: Box<dyn AsFd>,
+    /// Whether it is a serial port: its frames are dated when they arrive.
+    is_port: bool,
+    start: Instant,
+    /// When listening to a port began.
+    start_wall_ns: Option<u64>,
+    /// The last time of the board, whose clock dates the frames of a capture.
+    board_us: Option<u32>,
+    /// The time passed since the first time of the board.
+    since_us: i64,
     kinds: &'a [Kind],
     follow: bool,
-    received: Vec<u8>,
-    /// The next byte in `received`.
-    at: usize,
+    received: vec::IntoIter<u8>,
     /// There is no more to read: a capture is read, or a port hung up.
     ended: bool,
     decoder: Decoder,
@@ -204,82 +207,37 @@ pub(super) struct Line<'a> {
     other_version: Option<u16>,
     /// How many frames were whole.
     whole: u64,
-    found: Option<Frame>,
-}
-
-/// Where the bytes come from.
-pub(super) enum Input {
-    Serial(ReadHalf),
-    File(File),
-}
-
-/// The clock that dates the frames.
-enum Clock {
-    /// The host's, when they arrive.
-    Arrival {
-        start: Instant,
-        start_wall_ns: Option<u64>,
-    },
-    /// The board's, since its first time: its last time, and the time passed since the first.
-    Board { last_us: Option<u32>, since_us: i64 },
-}
-
-impl Clock {
-    /// When a frame came, in ns since the start.
-    fn date(&mut self, frame: &Frame) -> Option<i64> {
-        match self {
-            Self::Arrival { start, .. } => i64::try_from(start.elapsed().as_nanos()).ok(),
-            Self::Board { last_us, since_us } => {
-                if let Some(board_us) = frame.board_time_us() {
-                    let before_us = last_us.replace(board_us).unwrap_or(board_us);
-                    let passed = board_us.wrapping_sub(before_us).cast_signed();
-                    // A restarted clock goes on from where the last one stopped.
-                    if passed > RESTART_US {
-                        *since_us += i64::from(passed);
-                    }
-                }
-                last_us.map(|_| since_us.saturating_mul(1_000))
-            }
-        }
-    }
-}
-
-impl Input {
-    /// Opens a serial port, and never writes to it.
-    pub(super) fn serial(path: &Path, baud: u32) -> Result<Self, DumpError> {
-        // The half that writes is closed unused.
-        let (read, _) = serial_port::open(path, baud)?;
-        Ok(Self::Serial(read))
-    }
-
-    /// A capture with this name: a file, or standard input.
-    pub(super) fn capture(name: &str, file: io::Result<File>) -> Result<Self, String> {
-        file.map(Self::File)
-            .map_err(|error| unreadable(name, &error))
-    }
 }
 
 impl<'a> Line<'a> {
-    /// The frames of `kinds`, which are those of the line.
-    pub(super) fn new(name: String, input: Input, kinds: &'a [Kind], follow: bool) -> Self {
-        let clock = match input {
-            Input::Serial(_) => Clock::Arrival {
-                start: Instant::now(),
-                start_wall_ns: wall_ns(),
-            },
-            Input::File(_) => Clock::Board {
-                last_us: None,
-                since_us: 0,
-            },
+    /// The frames of `kinds`, which are those of the line: from a serial port, which is never written
+    /// to, from a capture, or from standard input.
+    pub(super) fn open(
+        place: &Place,
+        args: &DumpArgs,
+        kinds: &'a [Kind],
+    ) -> Result<Self, DumpError> {
+        let name = place.to_string();
+        let is_port = matches!(place, Place::Serial(_));
+        let input: Box<dyn AsFd> = match place {
+            // The half that writes is closed unused.
+            Place::Serial(path) => Box::new(serial_port::open(path, args.baud)?.0),
+            Place::Raw(path) => {
+                Box::new(File::open(path).map_err(|error| unreadable(&name, &error))?)
+            }
+            _ => Box::new(io::stdin()),
         };
-        Self {
+        Ok(Self {
             name,
             input,
-            clock,
+            is_port,
+            start: Instant::now(),
+            start_wall_ns: wall_ns().filter(|_| is_port),
+            board_us: None,
+            since_us: 0,
             kinds,
-            follow,
-            received: Vec::new(),
-            at: 0,
+            follow: args.follow && matches!(place, Place::Raw(_)),
+            received: Vec::new().into_iter(),
             ended: false,
             decoder: Decoder::new(),
             taken: 0,
@@ -287,14 +245,28 @@ impl<'a> Line<'a> {
             bytes: Vec::new(),
             other_version: None,
             whole: 0,
-            found: None,
+        })
+    }
+
+    /// When a frame came, in ns since the start.
+    fn date(&mut self, frame: &Frame) -> Option<i64> {
+        if self.is_port {
+            return i64::try_from(self.start.elapsed().as_nanos()).ok();
         }
+        if let Some(board_us) = frame.board_time_us() {
+            let before_us = self.board_us.replace(board_us).unwrap_or(board_us);
+            let passed = board_us.wrapping_sub(before_us).cast_signed();
+            // A restarted clock goes on from where the last one stopped.
+            if passed > RESTART_US {
+                self.since_us += i64::from(passed);
+            }
+        }
+        self.board_us.map(|_| self.since_us.saturating_mul(1_000))
     }
 
     /// The next stretch in what has been received.
     fn search(&mut self) -> Option<Frame> {
-        while let Some(byte) = self.received.get(self.at).copied() {
-            self.at += 1;
+        while let Some(byte) = self.received.next() {
             self.taken += 1;
             if byte == 0 {
                 let frame = self.frame();
@@ -311,60 +283,56 @@ impl<'a> Line<'a> {
         let unfinished = self.ended && self.taken > self.begin;
         let frame = unfinished.then(|| {
             let detail = "the bytes end in the middle of a frame";
-            Frame::broken("unfinished", &detail, &self.bytes)
+            Frame::broken("unfinished", detail, &self.bytes)
         });
         self.ended.then(|| self.end_stretch(frame))?
     }
 
     /// What the stretch holds that a zero ends; none if it is empty.
     fn frame(&mut self) -> Option<Frame> {
-        let packet = match self.decoder.push(0)? {
-            Ok(packet) => packet,
-            Err(error) => {
+        let message = self.decoder.push(0)?.map(ToHost::decode);
+        if let Ok(Ok(ToHost::Hello(hello))) = &message {
+            let version = hello.protocol_version;
+            self.other_version = (version != VERSION).then_some(version);
+        }
+        let (reason, detail) = match (message, self.other_version) {
+            (Err(error), _) => {
                 let reason = match error {
                     FrameError::Truncated => "truncated",
                     FrameError::TooLong => "too-long",
                     FrameError::TooShort(_) => "too-short",
                     FrameError::CheckSum => "check-sum",
                 };
-                return Some(Frame::broken(reason, &error, &self.bytes));
+                (reason, error.to_string())
             }
-        };
-        let message = ToHost::decode(packet);
-        if let Ok(ToHost::Hello(hello)) = &message {
-            let version = hello.protocol_version;
-            self.other_version = (version != VERSION).then_some(version);
-        } else if let Some(version) = self.other_version {
             // Nothing but another greeting is believed, even if it looks well.
-            let detail = format!(
-                "the sender speaks version {version} of the protocol, this program version {VERSION}: use the singletrack of its release"
-            );
-            return Some(Frame::broken("version", &detail, &self.bytes));
-        }
-        Some(match message {
-            Ok(message) => Frame::of(&message),
-            Err(error) => {
+            (Ok(message), Some(version)) if !matches!(message, Ok(ToHost::Hello(_))) => {
+                let detail = format!(
+                    "the sender speaks version {version} of the protocol, this program version {VERSION}: use the singletrack of its release"
+                );
+                ("version", detail)
+            }
+            (Ok(Ok(message)), _) => return Some(Frame::of(&message)),
+            (Ok(Err(error)), _) => {
                 let reason = match error {
                     DecodeError::UnknownType(_) => "unknown-type",
                     DecodeError::Length { .. } => "payload-length",
                     DecodeError::Value { .. } => "payload-value",
                 };
-                Frame::broken(reason, &error, &self.bytes)
+                (reason, error.to_string())
             }
-        })
+        };
+        Some(Frame::broken(reason, detail, &self.bytes))
     }
 
+    /// Begins the next stretch after one that holds this.
     fn end_stretch(&mut self, frame: Option<Frame>) -> Option<Frame> {
-        let offset = self.begin;
+        let (offset, length) = (self.begin, self.taken - self.begin);
         self.begin = self.taken;
         self.bytes.clear();
         let frame = frame?;
         self.whole += u64::from(frame.broken.is_none());
-        Some(Frame {
-            offset,
-            length: self.taken - offset,
-            ..frame
-        })
+        Some(frame.at(offset, length))
     }
 }
 
@@ -374,22 +342,16 @@ fn unreadable(name: &str, error: &io::Error) -> String {
 }
 
 impl Source for Line<'_> {
-    fn times(&self) -> Times {
-        Times {
-            start_wall_ns: match self.clock {
-                Clock::Arrival { start_wall_ns, .. } => start_wall_ns,
-                Clock::Board { .. } => None,
-            },
-            span_ns: None,
-        }
+    fn start_wall_ns(&self) -> Option<u64> {
+        self.start_wall_ns
     }
 
-    fn next(&mut self) -> Result<Next, DumpError> {
+    fn next(&mut self) -> Next<'_> {
         let Some(found) = self.search() else {
             if !self.ended {
-                return Ok(Next::Pending);
+                return Ok(Poll::Pending);
             }
-            if matches!(self.input, Input::File(_)) && self.whole == 0 {
+            if !self.is_port && self.whole == 0 {
                 let Self { name, taken, .. } = self;
                 let why = format!(
                     "{name} holds no whole frame of the protocol in {taken} bytes: name a \
@@ -398,79 +360,49 @@ impl Source for Line<'_> {
                 );
                 return Err(why.into());
             }
-            return Ok(Next::End);
+            return Ok(Poll::Ready(None));
         };
         let kind = self.kinds.iter().position(|kind| kind.name == found.name);
-        let time_ns = self.clock.date(&found);
-        self.found = Some(found);
-        Ok(Next::Row(Row {
+        Ok(Poll::Ready(Some(Row {
             kind: kind.unwrap_or_default(),
-            time_ns,
-        }))
+            time_ns: self.date(&found),
+            message: Message::Frame(found),
+        })))
     }
 
     fn wait(&mut self) -> Result<(), DumpError> {
-        let input = match &self.input {
-            Input::Serial(port) => port.as_fd(),
-            Input::File(file) => file.as_fd(),
-        };
-        let ready = wait_to_read([input], PATIENCE);
-        if !ready.map_err(|error| unreadable(&self.name, &error))? {
+        let failed = |error: io::Error| unreadable(&self.name, &error);
+        if !wait_to_read([self.input.as_fd()], PATIENCE).map_err(failed)? {
             return Ok(());
         }
-        self.received.resize(READ_LENGTH, 0);
-        self.at = 0;
-        let read = match &mut self.input {
-            Input::Serial(port) => match port.read(&mut self.received) {
-                // Unplugged, or the other end of a pseudo-terminal is closed.
-                Some(Ok(0) | Err(_)) => {
-                    self.ended = true;
-                    Ok(0)
-                }
-                read => read.unwrap_or(Ok(0)),
-            },
-            Input::File(file) => file.read(&mut self.received).inspect(|length| {
-                if *length == 0 && self.follow {
-                    thread::sleep(PATIENCE);
-                } else if *length == 0 {
-                    self.ended = true;
-                }
-            }),
-        };
-        let length = read.as_ref().copied().unwrap_or_default();
-        self.received.truncate(length);
-        match read {
-            Err(error) if error.kind() != io::ErrorKind::Interrupted => {
-                Err(unreadable(&self.name, &error).into())
+        let mut received = vec![0; READ_LENGTH];
+        let length = match rustix::io::read(&self.input, &mut received) {
+            Ok(0) if self.follow => {
+                thread::sleep(PATIENCE);
+                0
             }
-            _ => Ok(()),
-        }
-    }
-
-    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError> {
-        if let Some(found) = &self.found {
-            take(match (&found.entry, found.broken) {
-                (Some(entry), _) => Message::Entry(entry),
-                (None, Some(reason)) => Message::Broken(reason),
-                (None, None) => Message::Other,
-            });
-        }
-        Ok(())
-    }
-
-    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
-        values.clear();
-        if let Some(found) = &self.found {
-            values.extend([found.offset, found.length].map(Value::Unsigned));
-            values.extend(found.fields.iter().map(|(_, value)| value.clone()));
-        }
+            Ok(length) => {
+                self.ended = length == 0;
+                length
+            }
+            Err(Errno::INTR) => 0,
+            Err(Errno::AGAIN) if self.is_port => 0,
+            // Unplugged, or the other end of a pseudo-terminal is closed.
+            Err(_) if self.is_port => {
+                self.ended = true;
+                0
+            }
+            Err(error) => return Err(failed(error.into()).into()),
+        };
+        received.truncate(length);
+        self.received = received.into_iter();
         Ok(())
     }
 
     fn close(&self) -> Close {
-        let hung_up = self.ended && matches!(self.input, Input::Serial(_));
+        let hung_up = self.ended && self.is_port;
         Close {
-            note: hung_up.then(|| format!("{}: the line hung up", self.name)),
+            note: hung_up.then(|| "the line hung up".to_owned()),
             line_bytes: Some(self.taken),
             ..Close::default()
         }

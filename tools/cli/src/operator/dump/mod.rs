@@ -9,20 +9,19 @@ mod stats;
 
 use std::{
     error::Error,
-    fs::File,
     io::{self, IsTerminal, Write},
-    os::fd::AsFd as _,
     path::PathBuf,
+    task::Poll,
     time::{Duration, Instant},
 };
 
 use clap::Args;
 use format::Printer;
-use line::{Input, Line};
-use select::{Filter, Range};
+use line::Line;
+use select::Filter;
 use singletrack_core::config::SerialSection;
 use singletrack_record::{Topic, Value};
-use source::{Close, Kind, Live, Next, Place, Record, Row, Source};
+use source::{Kind, Live, Place, Record, Source};
 use stats::Stats;
 
 use crate::{arguments::parse_duration, interrupt::Interrupt, operator::control::ControlArgs};
@@ -112,10 +111,6 @@ pub struct DumpArgs {
     /// Where `live` is.
     #[command(flatten)]
     pub control: ControlArgs,
-
-    /// Whether --stats leaves out the distributions.
-    #[arg(skip)]
-    pub brief: bool,
 }
 
 impl DumpArgs {
@@ -168,23 +163,15 @@ Examples:
 /// When the source can't be read, or a topic or a field does not exist.
 pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
     let stdout = io::stdout();
+    let is_terminal = stdout.is_terminal();
     // Thousands of rows are of no use to a person.
-    if stdout.is_terminal() && args.is_bare() && matches!(args.place(), Place::Record(_)) {
-        let summarised = DumpArgs {
-            stats: true,
-            brief: true,
-            ..args.clone()
-        };
-        return dump(&summarised, Format::Table, stdout.lock());
-    }
-    let format = args
-        .format
-        .unwrap_or(if args.stats || stdout.is_terminal() {
-            Format::Table
-        } else {
-            Format::Csv
-        });
-    let Err(error) = dump(args, format, stdout.lock()) else {
+    let brief = is_terminal && args.is_bare() && matches!(args.place(), Place::Record(_));
+    let format = args.format.unwrap_or(if args.stats || is_terminal {
+        Format::Table
+    } else {
+        Format::Csv
+    });
+    let Err(error) = print_or_count(args, format, brief, stdout.lock()) else {
         return Ok(());
     };
     match *error.downcast::<io::Error>()? {
@@ -200,10 +187,22 @@ pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
 /// When the source can't be read, a topic or a field does not exist, or the
 /// output can't be written.
 pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), DumpError> {
-    if args.stats && format == Format::Csv {
+    print_or_count(args, format, false, output)
+}
+
+/// Counts if it shall, or shall be `brief`: without the distributions. Prints otherwise.
+fn print_or_count(
+    args: &DumpArgs,
+    format: Format,
+    brief: bool,
+    mut output: impl Write,
+) -> Result<(), DumpError> {
+    let counts = args.stats || brief;
+    if counts && format == Format::Csv {
         return Err("--stats has no csv: use --format table or --format json".into());
     }
     let place = args.place();
+    let name = place.to_string();
     let of_record = matches!(place, Place::Record(_) | Place::Live);
     let mut kinds = if of_record {
         Kind::topics()
@@ -211,121 +210,82 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
         line::kinds()
     };
     let topics = match args.topic.as_slice() {
-        [] if of_record && !args.stats => &[Topic::Telemetry.name().to_owned()],
+        [] if of_record && !counts => &[Topic::Telemetry.name().to_owned()],
         topics => topics,
     };
     select::choose(&mut kinds, topics)?;
     let kinds = kinds.as_slice();
     // Mistakes on the command line are reported before anything is opened.
-    let mut sink = if args.stats {
-        Sink::Count(Box::new(Stats::new(kinds, args.brief)), output)
-    } else {
-        let printer = Printer::new(output, format, kinds, &args.fields, of_record)?;
-        Sink::Print(printer)
-    };
-    let range = Range {
-        from: args.from,
-        to: args.to,
-    };
+    let mut stats = Stats::new(kinds, brief);
+
+    let mut printer = (!counts)
+        .then(|| Printer::new(&mut output, format, kinds, &args.fields, of_record))
+        .transpose()?;
     // A port may reset its board when it is opened. A record says which times it has.
     if !matches!(place, Place::Record(_)) {
-        range.check_order()?;
+        select::check_order(args.from, args.to)?;
     }
     let mut filter = Filter::new(kinds, &args.conditions)?;
-    let mut source = open(args, &place, kinds)?;
+    let mut source: Box<dyn Source + '_> = match &place {
+        Place::Record(path) => Box::new(Record::open(path, kinds, args.follow)?),
+        Place::Live => Box::new(Live::connect(&args.control.socket, kinds)?),
+        line => Box::new(Line::open(line, args, kinds)?),
+    };
     let source = source.as_mut();
-    filter.range = range.since(&source.times(), &place.to_string())?;
+    filter.range = select::range(args.from, args.to, source, &name)?;
     let end = args.duration.map(|duration| Instant::now() + duration);
-    let interrupt = if args.stats {
+    let interrupt = if counts {
         Interrupt::listen()?
     } else {
         // Ctrl-C ends the process, as it ends others.
         Interrupt::default()
     };
     let is_over = || interrupt.is_raised() || end.is_some_and(|end| Instant::now() >= end);
-    sink.flush()?;
-    let pumped = pump(source, &mut sink, kinds, &filter, is_over);
+    let pumped = pump(source, &mut printer, &mut stats, &filter, is_over);
     // The rows before a failure are printed as well.
     let close = source.close();
-    sink.end(format, &place.to_string(), &close)?;
+    if let Some(mut printer) = printer {
+        printer.flush()?;
+    } else {
+        let report = stats.report(&name, &close);
+        let text = match format {
+            Format::Json => serde_json::to_string_pretty(&report)?,
+            Format::Table | Format::Csv => report.to_string(),
+        };
+        writeln!(output, "{text}")?;
+        output.flush()?;
+    }
     pumped?;
     if let Some(note) = close.note {
-        eprintln!("singletrack: {note}");
+        eprintln!("singletrack: {name}: {note}");
     }
     Ok(())
 }
 
-/// Receives the rows.
-enum Sink<'a, W: Write> {
-    Print(Printer<'a, W>),
-    Count(Box<Stats<'a>>, W),
-}
-
-impl<W: Write> Sink<'_, W> {
-    const fn needs_values(&self) -> bool {
-        match self {
-            Self::Print(printer) => printer.needs_values(),
-            Self::Count(..) => false,
-        }
-    }
-
-    fn take(
-        &mut self,
-        row: &Row,
-        values: &[Value],
-        source: &mut dyn Source,
-    ) -> Result<(), DumpError> {
-        match self {
-            Self::Print(printer) => printer.print(row, values, source)?,
-            Self::Count(stats, _) => {
-                source.take_message(&mut |message| stats.add(row, message))?;
-            }
-        }
-        Ok(())
-    }
-
-    fn flush(&mut self) -> Result<(), DumpError> {
-        match self {
-            Self::Print(printer) => printer.flush(),
-            Self::Count(..) => Ok(()),
-        }
-    }
-
-    fn end(&mut self, format: Format, name: &str, close: &Close) -> Result<(), DumpError> {
-        let Self::Count(stats, output) = self else {
-            return self.flush();
-        };
-        let report = stats.report(name, close);
-        let text = match format {
-            Format::Json => serde_json::to_string_pretty(&report).map_err(io::Error::from)?,
-            Format::Table | Format::Csv => report.to_string(),
-        };
-        writeln!(output, "{text}")?;
-        Ok(output.flush()?)
-    }
-}
-
-/// Passes the rows of the source to the sink, until its end or until `is_over`.
+/// Passes the rows of the source to the printer, or to the statistics if there is none, until its end
+/// or until `is_over`.
 fn pump<W: Write>(
     source: &mut dyn Source,
-    sink: &mut Sink<'_, W>,
-    kinds: &[Kind],
+    printer: &mut Option<Printer<'_, W>>,
+    stats: &mut Stats<'_>,
     filter: &Filter<'_>,
     is_over: impl Fn() -> bool,
 ) -> Result<(), DumpError> {
-    let needs_values = sink.needs_values() || filter.needs_values();
+    let prints_values = printer.as_ref().is_some_and(Printer::needs_values);
+    let needs_values = prints_values || filter.needs_values();
     let mut values = Vec::new();
+    printer.as_mut().map_or(Ok(()), Printer::flush)?;
     while !is_over() {
-        let row = match source.next()? {
-            Next::End => break,
-            Next::Pending => {
-                sink.flush()?;
+        let mut row = match source.next()? {
+            Poll::Ready(None) => break,
+            Poll::Pending => {
+                printer.as_mut().map_or(Ok(()), Printer::flush)?;
                 source.wait()?;
                 continue;
             }
-            Next::Row(row) => row,
+            Poll::Ready(Some(row)) => row,
         };
-        if !kinds.get(row.kind).is_some_and(|kind| kind.chosen) {
+        if !filter.has_chosen(row.kind) {
             continue;
         }
         if filter.is_over(&row) {
@@ -335,33 +295,16 @@ fn pump<W: Write>(
             continue;
         }
         if needs_values {
-            source.read_values(&mut values)?;
+            row.message.read_values(&mut values)?;
             let time_s = row.time_ns.map(|ns| ns as f64 / 1e9);
             values.push(time_s.map_or(Value::Absent, Value::Float));
         }
         if filter.accepts(row.kind, &values) {
-            sink.take(&row, &values, source)?;
+            match printer {
+                Some(printer) => printer.print(row, &values)?,
+                None => stats.add(row)?,
+            }
         }
     }
     Ok(())
-}
-
-fn open<'a>(
-    args: &DumpArgs,
-    place: &Place,
-    kinds: &'a [Kind],
-) -> Result<Box<dyn Source + 'a>, DumpError> {
-    let name = place.to_string();
-    let (input, follow) = match place {
-        Place::Record(path) => return Ok(Box::new(Record::open(path, kinds, args.follow)?)),
-        Place::Live => return Ok(Box::new(Live::connect(&args.control.socket, kinds)?)),
-        Place::Serial(path) => (Input::serial(path, args.baud)?, false),
-        Place::Raw(path) => (Input::capture(&name, File::open(path))?, args.follow),
-        Place::Stdin => {
-            let file = io::stdin().as_fd().try_clone_to_owned().map(File::from);
-            (Input::capture(&name, file)?, false)
-        }
-    };
-    let line = Line::new(name, input, kinds, follow);
-    Ok(Box::new(line))
 }

@@ -1,11 +1,11 @@
 //! Topics, fields, conditions and times: what the command line chooses among the rows.
 
-use std::{cmp::Ordering, fmt, str::FromStr};
+use std::{cmp::Ordering, fmt, mem, ops::RangeInclusive, str::FromStr};
 
 use jiff::Timestamp;
 use singletrack_record::{Topic, Value};
 
-use super::source::{Kind, Row, TIME, Times};
+use super::source::{Kind, Row, Source, TIME};
 
 /// Chooses the kinds with these names; all if there are no names.
 pub(super) fn choose(kinds: &mut [Kind], names: &[String]) -> Result<(), String> {
@@ -218,18 +218,19 @@ impl Condition {
 
 /// All conditions, and for each kind the places of their fields.
 pub(super) struct Filter<'a> {
+    kinds: &'a [Kind],
     conditions: &'a [Condition],
     /// None for a kind without one of the fields: its rows are left out.
     places: Vec<Option<Vec<usize>>>,
-    /// The first and the last time, in ns since the start.
-    pub(super) range: (Option<i64>, Option<i64>),
+    /// From the first to the last time, in ns since the start.
+    pub(super) range: Option<RangeInclusive<i64>>,
 }
 
 /// Rows are in order of time but for less than this.
 const DISORDER_NS: i64 = 1_000_000_000;
 
 impl<'a> Filter<'a> {
-    pub(super) fn new(kinds: &[Kind], conditions: &'a [Condition]) -> Result<Self, String> {
+    pub(super) fn new(kinds: &'a [Kind], conditions: &'a [Condition]) -> Result<Self, String> {
         for condition in conditions {
             check_field(kinds, &condition.field)?;
             condition.check_word(kinds)?;
@@ -239,9 +240,10 @@ impl<'a> Filter<'a> {
             fields.map(|field| kind.index(field)).collect()
         };
         Ok(Self {
-            places: kinds.iter().map(places).collect(),
+            kinds,
             conditions,
-            range: (None, None),
+            places: kinds.iter().map(places).collect(),
+            range: None,
         })
     }
 
@@ -251,22 +253,21 @@ impl<'a> Filter<'a> {
     }
 
     /// Whether no row after this one is within the range.
-    pub(super) fn is_over(&self, row: &Row) -> bool {
-        let (_, to_ns) = self.range;
-        let ends = row.time_ns.zip(to_ns);
-        ends.is_some_and(|(time_ns, to_ns)| time_ns > to_ns.saturating_add(DISORDER_NS))
+    pub(super) fn is_over(&self, row: &Row<'_>) -> bool {
+        let ends = row.time_ns.zip(self.range.as_ref());
+        ends.is_some_and(|(time_ns, range)| time_ns > range.end().saturating_add(DISORDER_NS))
+    }
+
+    /// Whether rows of this kind are asked for.
+    pub(super) fn has_chosen(&self, kind: usize) -> bool {
+        self.kinds.get(kind).is_some_and(|kind| kind.chosen)
     }
 
     /// Whether the row is within the range. One without a time is within no range.
-    pub(super) fn covers(&self, row: &Row) -> bool {
-        match (self.range, row.time_ns) {
-            ((None, None), _) => true,
-            (_, None) => false,
-            ((from_ns, to_ns), Some(time_ns)) => {
-                from_ns.is_none_or(|from_ns| time_ns >= from_ns)
-                    && to_ns.is_none_or(|to_ns| time_ns <= to_ns)
-            }
-        }
+    pub(super) fn covers(&self, row: &Row<'_>) -> bool {
+        let is_within =
+            |range: &RangeInclusive<i64>| row.time_ns.is_some_and(|ns| range.contains(&ns));
+        self.range.as_ref().is_none_or(is_within)
     }
 
     /// Whether a row of this kind meets all conditions.
@@ -281,7 +282,7 @@ impl<'a> Filter<'a> {
 }
 
 /// A time within a record.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub enum Moment {
     /// Seconds after the start of the record.
     Seconds(f64),
@@ -329,11 +330,7 @@ impl fmt::Display for Moment {
 impl Moment {
     /// Whether it is after the other; false if one has seconds and the other a date.
     fn is_after(self, other: Self) -> bool {
-        match (self, other) {
-            (Self::Seconds(one), Self::Seconds(other)) => one > other,
-            (Self::WallNs(one), Self::WallNs(other)) => one > other,
-            _ => false,
-        }
+        mem::discriminant(&self) == mem::discriminant(&other) && self > other
     }
 
     /// The moment in ns since a start at `start_wall_ns`; none if it is on the
@@ -360,74 +357,66 @@ fn wall_ns(text: &str) -> Option<i64> {
     i64::try_from(time.as_nanosecond()).ok()
 }
 
-impl Times {
-    /// The times of the first and the last row in seconds, and the same times on the wall.
-    fn span(&self) -> Option<String> {
-        let [first_ns, last_ns] = self.span_ns?;
-        let start_ns = i64::try_from(self.start_wall_ns?).unwrap_or(i64::MAX);
-        // To a millisecond, as the seconds.
-        let wall = |ns| Moment::WallNs(start_ns.saturating_add(ns) / 1_000_000 * 1_000_000);
-        let [first_s, last_s] = [first_ns, last_ns].map(|ns| ns as f64 / 1e9);
-        let (first, last) = (wall(first_ns), wall(last_ns));
-        Some(format!(
-            "{first_s:.3} s to {last_s:.3} s ({first} to {last})"
-        ))
+/// The times of the first and the last row in seconds, and the same times on the wall.
+fn span(start_wall_ns: u64, span_ns: [i64; 2]) -> String {
+    let start_ns = i64::try_from(start_wall_ns).unwrap_or(i64::MAX);
+    // To a millisecond, as the seconds.
+    let wall = |ns| Moment::WallNs(start_ns.saturating_add(ns) / 1_000_000 * 1_000_000);
+    let [first_s, last_s] = span_ns.map(|ns| ns as f64 / 1e9);
+    let [first, last] = span_ns.map(wall);
+    format!("{first_s:.3} s to {last_s:.3} s ({first} to {last})")
+}
+
+/// Refuses a range that ends before it begins, as far as that is known without the source.
+pub(super) fn check_order(from: Option<Moment>, to: Option<Moment>) -> Result<(), String> {
+    match from.zip(to) {
+        Some((from, to)) if from.is_after(to) => Err(backwards(from, to, "")),
+        _ => Ok(()),
     }
 }
 
-/// The range of time of the rows that are printed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Range {
-    pub(super) from: Option<Moment>,
-    pub(super) to: Option<Moment>,
-}
-
-impl Range {
-    /// Refuses a range that ends before it begins, as far as that is known without the source.
-    pub(super) fn check_order(self) -> Result<(), String> {
-        match (self.from, self.to) {
-            (Some(from), Some(to)) if from.is_after(to) => Err(backwards(from, to, "")),
-            _ => Ok(()),
-        }
+/// The range in ns since the start of the source; none if neither end is given. One without an entry
+/// of the source is refused.
+pub(super) fn range(
+    from: Option<Moment>,
+    to: Option<Moment>,
+    source: &dyn Source,
+    name: &str,
+) -> Result<Option<RangeInclusive<i64>>, String> {
+    let (start_wall_ns, span_ns) = (source.start_wall_ns(), source.span_ns());
+    let since = |moment: Moment| moment.since(start_wall_ns);
+    let span = start_wall_ns
+        .zip(span_ns)
+        .map(|(start, span_ns)| span(start, span_ns))
+        .unwrap_or_default();
+    let [first_ns, last_ns] = span_ns.unwrap_or([i64::MIN, i64::MAX]);
+    // One may be a date and the other a number of seconds.
+    if let Some((from, to)) = from.zip(to)
+        && since(from)
+            .zip(since(to))
+            .is_some_and(|(from, to)| from > to)
+    {
+        let of_record = format!("; the entries of the record are from {span}");
+        let of_record = if span.is_empty() { "" } else { &of_record };
+        return Err(backwards(from, to, of_record));
     }
-
-    /// The range in ns since the start of the source. One without an entry of the source is refused.
-    pub(super) fn since(
-        self,
-        times: &Times,
-        name: &str,
-    ) -> Result<(Option<i64>, Option<i64>), String> {
-        let since = |moment: Moment| moment.since(times.start_wall_ns);
-        let span = times.span().unwrap_or_default();
-        let [first_ns, last_ns] = times.span_ns.unwrap_or([i64::MIN, i64::MAX]);
-        // One may be a date and the other a number of seconds.
-        if let (Some(from), Some(to)) = (self.from, self.to)
-            && since(from)
-                .zip(since(to))
-                .is_some_and(|(from, to)| from > to)
-        {
-            let of_record = format!("; the entries of the record are from {span}");
-            let of_record = if span.is_empty() { "" } else { &of_record };
-            return Err(backwards(from, to, of_record));
-        }
-        let check = |option: &str, moment: Option<Moment>, is_outside: &dyn Fn(i64) -> bool| {
-            let Some(moment) = moment else {
-                return Ok(None);
-            };
-            match since(moment) {
-                None => Err(format!(
-                    "{name} holds no wall time: give --{option} in seconds since its start"
-                )),
-                Some(ns) if is_outside(ns) => Err(format!(
-                    "--{option} {moment} leaves nothing of {name}: its entries are from {span}"
-                )),
-                since => Ok(since),
-            }
-        };
-        let from_ns = check("from", self.from, &|ns| ns > last_ns)?;
-        let to_ns = check("to", self.to, &|ns| ns < first_ns)?;
-        Ok((from_ns, to_ns))
-    }
+    let check = |option: &str, moment: Moment, has_rows: &dyn Fn(i64) -> bool| match since(moment) {
+        None => Err(format!(
+            "{name} holds no wall time: give --{option} in seconds since its start"
+        )),
+        Some(ns) if !has_rows(ns) => Err(format!(
+            "--{option} {moment} leaves nothing of {name}: its entries are from {span}"
+        )),
+        Some(ns) => Ok(ns),
+    };
+    let from_ns = from
+        .map(|from| check("from", from, &|ns| ns <= last_ns))
+        .transpose()?;
+    let to_ns = to
+        .map(|to| check("to", to, &|ns| ns >= first_ns))
+        .transpose()?;
+    let is_given = from_ns.or(to_ns).is_some();
+    Ok(is_given.then(|| from_ns.unwrap_or(i64::MIN)..=to_ns.unwrap_or(i64::MAX)))
 }
 
 /// The range ends before it begins; `of_record` names the times of the record.

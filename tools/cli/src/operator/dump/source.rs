@@ -7,15 +7,17 @@ use std::{
     io::Read,
     os::unix::fs::FileTypeExt,
     path::{Path, PathBuf},
+    task::Poll,
     thread,
-    time::{Duration, SystemTime, UNIX_EPOCH},
+    time::Duration,
 };
 
+use jiff::Timestamp;
 use singletrack_api::ClientError;
 use singletrack_record::{Ending, Entry, Reader, Recorded, Topic, Value};
 use singletrackd::monotonic_ns;
 
-use super::DumpError;
+use super::{DumpError, line::Frame};
 use crate::operator::entries::{Entries, Heard};
 
 /// The field that every row has beside its own: seconds since the start of the
@@ -95,9 +97,6 @@ impl Kind {
     }
 }
 
-/// Time between two looks at what the daemon sends.
-const LIVE: Duration = Duration::from_millis(10);
-
 /// The topics of the chosen kinds.
 fn chosen(kinds: &[Kind]) -> Vec<Topic> {
     let topics = Topic::ALL.into_iter().zip(kinds);
@@ -105,24 +104,17 @@ fn chosen(kinds: &[Kind]) -> Vec<Topic> {
     chosen.map(|(topic, _)| topic).collect()
 }
 
-/// A record, finished or not. For printing, its messages become text without an [`Entry`] between.
+/// A record, finished or not.
 pub(super) struct Record {
-    name: String,
     reader: Reader,
     follow: bool,
-    start_wall_ns: u64,
 }
 
 impl Record {
     /// Opens a record to read the chosen kinds.
     pub(super) fn open(path: &Path, kinds: &[Kind], follow: bool) -> Result<Self, DumpError> {
         let reader = Reader::open(path)?.only(&chosen(kinds));
-        Ok(Self {
-            name: path.display().to_string(),
-            start_wall_ns: reader.meta.start.wall_ns,
-            reader,
-            follow,
-        })
+        Ok(Self { reader, follow })
     }
 
     fn is_unfinished(&self) -> bool {
@@ -130,53 +122,38 @@ impl Record {
     }
 
     const fn since_start(&self, wall_ns: u64) -> i64 {
-        wall_ns.wrapping_sub(self.start_wall_ns).cast_signed()
+        let start_ns = self.reader.meta.start.wall_ns;
+        wall_ns.wrapping_sub(start_ns).cast_signed()
     }
 }
 
 impl Source for Record {
-    fn times(&self) -> Times {
-        let span = self.reader.span_wall_ns();
-        Times {
-            start_wall_ns: Some(self.start_wall_ns),
-            span_ns: span.map(|span| span.map(|ns| self.since_start(ns))),
-        }
+    fn start_wall_ns(&self) -> Option<u64> {
+        Some(self.reader.meta.start.wall_ns)
     }
 
-    fn next(&mut self) -> Result<Next, DumpError> {
+    fn span_ns(&self) -> Option<[i64; 2]> {
+        let span = self.reader.span_wall_ns()?;
+        Some(span.map(|ns| self.since_start(ns)))
+    }
+
+    fn next(&mut self) -> Next<'_> {
         Ok(match self.reader.advance()? {
-            Some(Recorded { topic, wall_ns }) => Next::Row(Row {
+            Some(Recorded { topic, wall_ns }) => Poll::Ready(Some(Row {
                 kind: topic.index(),
                 time_ns: Some(self.since_start(wall_ns)),
-            }),
-            None if self.follow && self.is_unfinished() => Next::Pending,
-            None => Next::End,
+                message: Message::Recorded(&mut self.reader),
+            })),
+            None if self.follow && self.is_unfinished() => Poll::Pending,
+            None => Poll::Ready(None),
         })
-    }
-
-    fn wait(&mut self) -> Result<(), DumpError> {
-        thread::sleep(PATIENCE);
-        Ok(())
-    }
-
-    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError> {
-        let take = |entry: &Entry| take(Message::Entry(entry));
-        Ok(self.reader.read_entry(take)?)
-    }
-
-    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
-        Ok(self.reader.read_values(values)?)
-    }
-
-    fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
-        Ok(self.reader.write_json(json)?)
     }
 
     fn close(&self) -> Close {
         let ending = self.reader.ending.filter(|_| self.is_unfinished());
         Close {
-            note: ending.map(|ending| format!("{}: {ending}", self.name)),
-            unfinished: self.is_unfinished(),
+            note: ending.map(|ending| ending.to_string()),
+            unfinished: ending.is_some(),
             ..Close::default()
         }
     }
@@ -186,7 +163,6 @@ impl Source for Record {
 pub(super) struct Live {
     path: PathBuf,
     entries: Entries,
-    entry: Option<Box<Entry>>,
     start_ns: u64,
     start_wall_ns: Option<u64>,
     missed: u64,
@@ -198,7 +174,6 @@ impl Live {
         Ok(Self {
             path: path.to_owned(),
             entries: Entries::watch(path, chosen(kinds))?,
-            entry: None,
             start_ns: monotonic_ns(),
             start_wall_ns: wall_ns(),
             missed: 0,
@@ -207,24 +182,21 @@ impl Live {
 }
 
 impl Source for Live {
-    fn times(&self) -> Times {
-        Times {
-            start_wall_ns: self.start_wall_ns,
-            span_ns: None,
-        }
+    fn start_wall_ns(&self) -> Option<u64> {
+        self.start_wall_ns
     }
 
-    fn next(&mut self) -> Result<Next, DumpError> {
+    fn next(&mut self) -> Next<'_> {
         loop {
             match self.entries.next(Duration::ZERO) {
-                Ok(None) => return Ok(Next::Pending),
+                Ok(None) => return Ok(Poll::Pending),
                 Ok(Some(Heard::Entry(entry))) => {
                     let time_ns = entry.time_ns().wrapping_sub(self.start_ns);
-                    let kind = self.entry.insert(entry).topic().index();
-                    return Ok(Next::Row(Row {
-                        kind,
+                    return Ok(Poll::Ready(Some(Row {
+                        kind: entry.topic().index(),
                         time_ns: Some(time_ns.cast_signed()),
-                    }));
+                        message: Message::Entry(entry),
+                    })));
                 }
                 Ok(Some(Heard::Missed(count))) => {
                     self.missed += count;
@@ -234,26 +206,15 @@ impl Source for Live {
                         self.path.display()
                     );
                 }
-                Err(ClientError::Ended) => return Ok(Next::End),
+                Err(ClientError::Ended) => return Ok(Poll::Ready(None)),
                 Err(error) => return Err(error.into()),
             }
         }
     }
 
     fn wait(&mut self) -> Result<(), DumpError> {
-        thread::sleep(LIVE);
-        Ok(())
-    }
-
-    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError> {
-        if let Some(entry) = &self.entry {
-            take(Message::Entry(entry));
-        }
-        Ok(())
-    }
-
-    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
-        *values = self.entry.as_deref().map(Entry::values).unwrap_or_default();
+        // Of a daemon, more comes soon.
+        thread::sleep(PATIENCE / 10);
         Ok(())
     }
 
@@ -299,34 +260,26 @@ impl Place {
     /// The source with this name.
     pub(super) fn of(path: &Path) -> Self {
         let name = path.to_string_lossy();
-        if path.as_os_str() == "-" {
-            return Self::Stdin;
-        }
-        if path.as_os_str() == "live" {
-            return Self::Live;
-        }
-        if name.ends_with(".mcap") || name.ends_with(".mcap.part") {
-            return Self::Record(path.to_owned());
-        }
-        let Ok(metadata) = path.metadata() else {
-            // Opening a record reports best why it failed.
-            return Self::Record(path.to_owned());
-        };
-        if metadata.file_type().is_char_device() {
-            return Self::Serial(path.to_owned());
-        }
-        if !(metadata.is_file() || metadata.is_dir()) {
+        let place = match path.metadata() {
+            _ if name == "-" => return Self::Stdin,
+            _ if name == "live" => return Self::Live,
+            _ if name.ends_with(".mcap") || name.ends_with(".mcap.part") => Self::Record,
+            Ok(metadata) if metadata.file_type().is_char_device() => Self::Serial,
+            Ok(metadata) if metadata.is_file() && !begins_as_mcap(path) => Self::Raw,
+            Ok(metadata) if metadata.is_file() || metadata.is_dir() => Self::Record,
             // Of a pipe, what is looked at is gone.
-            return Self::Raw(path.to_owned());
-        }
-        let mut magic = [0; MCAP_MAGIC.len()];
-        let read = File::open(path).and_then(|mut file| file.read_exact(&mut magic));
-        if metadata.is_dir() || (read.is_ok() && magic == MCAP_MAGIC) {
-            Self::Record(path.to_owned())
-        } else {
-            Self::Raw(path.to_owned())
-        }
+            Ok(_) => Self::Raw,
+            // Opening a record reports best why it failed.
+            Err(_) => Self::Record,
+        };
+        place(path.to_owned())
     }
+}
+
+fn begins_as_mcap(path: &Path) -> bool {
+    let mut magic = [0; MCAP_MAGIC.len()];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut magic));
+    read.is_ok() && magic == MCAP_MAGIC
 }
 
 /// The longest time that a source waits for more.
@@ -334,41 +287,57 @@ pub(super) const PATIENCE: Duration = Duration::from_millis(100);
 
 /// Now, in ns since 1970; none if the wall clock is before that.
 pub(super) fn wall_ns() -> Option<u64> {
-    let wall = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
-    u64::try_from(wall.as_nanos()).ok()
+    u64::try_from(Timestamp::now().as_nanosecond()).ok()
 }
 
-/// A row before its message is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Row {
+/// A row, whose message is not yet read.
+pub(super) struct Row<'a> {
     /// The index of its kind.
     pub(super) kind: usize,
     /// When it reached the host, in ns since the start; none before the first time
     /// is known.
     pub(super) time_ns: Option<i64>,
+    pub(super) message: Message<'a>,
 }
 
 /// The message of a row.
-#[derive(Clone, Copy, Debug)]
 pub(super) enum Message<'a> {
-    /// An entry of a record or of the running daemon; a tick of a record is without its events.
-    Entry(&'a Entry),
-    /// Bytes on the line that are no frame: why, in a word.
-    Broken(&'static str),
-    /// A frame that no record has.
-    Other,
+    /// The one that the reader of a record is at. For printing, it becomes text without an [`Entry`]
+    /// between.
+    Recorded(&'a mut Reader),
+    /// What the running daemon sent.
+    Entry(Box<Entry>),
+    /// What came over the line.
+    Frame(Frame),
 }
 
-/// The next step of a source.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Next {
-    /// A row, which can be read until the next step.
-    Row(Row),
-    /// Nothing yet: [`Source::wait`] waits for more.
-    Pending,
-    /// The source has ended.
-    End,
+impl Message<'_> {
+    /// Replaces `values` with its fields, in the order of its kind.
+    pub(super) fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
+        match self {
+            Self::Recorded(reader) => reader.read_values(values)?,
+            Self::Entry(entry) => *values = entry.values(),
+            Self::Frame(frame) => {
+                values.clear();
+                values.extend(frame.fields.drain(..).map(|(_, value)| value));
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the entry to `json` as one object with all its fields. Frames have no such form.
+    pub(super) fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
+        match self {
+            Self::Recorded(reader) => reader.write_json(json)?,
+            Self::Entry(entry) => entry.write_json(json),
+            Self::Frame(_) => {}
+        }
+        Ok(())
+    }
 }
+
+/// The next row of a source, nothing at its end, or nothing yet: [`Source::wait`] waits for more.
+pub(super) type Next<'a> = Result<Poll<Option<Row<'a>>>, DumpError>;
 
 /// How a source ended, with figures of the whole source.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -385,38 +354,24 @@ pub(super) struct Close {
 
 /// Gives rows, one after another.
 pub(super) trait Source {
-    fn times(&self) -> Times;
+    /// When it starts, in ns since 1970 on the wall, if that is known.
+    fn start_wall_ns(&self) -> Option<u64>;
+
+    /// The times of its first and its last row, in ns since its start, if they are known before it is
+    /// read.
+    fn span_ns(&self) -> Option<[i64; 2]> {
+        None
+    }
 
     /// Goes to the next row, without waiting.
-    fn next(&mut self) -> Result<Next, DumpError>;
+    fn next(&mut self) -> Next<'_>;
 
     /// Waits for more, but not for long.
-    fn wait(&mut self) -> Result<(), DumpError>;
-
-    /// Passes the message of the row to `take`.
-    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError>;
-
-    /// Replaces `values` with the fields of the message, in the order of its kind.
-    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError>;
-
-    /// Adds the entry to `json` as one object with all its fields. Frames have no such form.
-    fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
-        self.take_message(&mut |message| {
-            if let Message::Entry(entry) = message {
-                entry.write_json(json);
-            }
-        })
+    fn wait(&mut self) -> Result<(), DumpError> {
+        thread::sleep(PATIENCE);
+        Ok(())
     }
 
     /// How it ended.
     fn close(&self) -> Close;
-}
-
-/// What is known of the times of a source before it is read.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Times {
-    /// When it starts, in ns since 1970 on the wall.
-    pub(super) start_wall_ns: Option<u64>,
-    /// The times of its first and its last row, in ns since its start.
-    pub(super) span_ns: Option<[i64; 2]>,
 }

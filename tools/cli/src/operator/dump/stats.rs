@@ -9,7 +9,10 @@ use singletrack_protocol::{RefusalReason, Status, StopCause, TELEMETRY_PERIOD_US
 use singletrack_record::{Entry, TickRecord};
 use singletrack_statistics::{Arrivals, Distribution, Gap};
 
-use super::source::{Close, Kind, Message, Row};
+use super::{
+    DumpError,
+    source::{Close, Kind, Message, Row},
+};
 
 /// All statistics. Values that the source does not have are null or empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -65,9 +68,9 @@ pub(super) struct TopicReport {
 /// Frames on the line.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct LineReport {
-    /// Whether there was telemetry.
+    /// Telemetry records that came.
     #[serde(skip)]
-    pub(super) telemetry: bool,
+    pub(super) telemetry: u64,
     /// Telemetry records that the board's clock misses.
     pub(super) telemetry_lost: u64,
     /// In how many gaps.
@@ -122,8 +125,6 @@ pub(super) struct TickReport {
 /// For how long a mode lasted, and why it was.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct ModeSpan {
-    #[serde(skip)]
-    begin_ns: i64,
     pub(super) mode: &'static str,
     pub(super) reason: Option<&'static str>,
     pub(super) from_s: f64,
@@ -174,24 +175,22 @@ impl Durations {
 /// is not empty.
 fn histogram(durations: &Distribution) -> Vec<Bucket> {
     let ends = (0..=15).flat_map(|decade| [1, 2, 5].map(|step| step * 10_i64.pow(decade)));
-    let mut buckets = Vec::new();
     let mut before = 0;
-    for end_us in [0].into_iter().chain(ends) {
-        if before == durations.count() {
-            break;
-        }
+    let buckets = [0].into_iter().chain(ends).map_while(|end_us| {
         let up_to = end_us as f64;
         let count = durations.count_up_to(up_to) - before;
-        if count > 0 || !buckets.is_empty() {
-            buckets.push(Bucket {
-                up_to,
-                count: count as u64,
-            });
-        }
+        let has_more = before < durations.count();
         before += count;
-    }
-    buckets
+        has_more.then_some(Bucket {
+            up_to,
+            count: count as u64,
+        })
+    });
+    buckets.skip_while(|bucket| bucket.count == 0).collect()
 }
+
+/// When a mode and its reason began, in ns.
+type Change = (i64, (&'static str, Option<&'static str>));
 
 /// Counts the rows of the chosen kinds.
 #[derive(Default)]
@@ -199,15 +198,16 @@ pub(super) struct Stats<'a> {
     kinds: &'a [Kind],
     /// The arrivals of each kind.
     arrivals: Vec<Arrivals>,
-    first_ns: Option<i64>,
-    last_ns: Option<i64>,
+    /// The first and the last time.
+    span_ns: Option<[i64; 2]>,
     /// When the last telemetry came, and the board's clock in it.
     telemetry: Option<(i64, u32)>,
     telemetry_gap: Gap,
     status: Option<Status>,
     frame_number: Option<i32>,
-    valid_ns: Option<i64>,
-    between_valid: Gap,
+    valid: Arrivals,
+    modes: Vec<Change>,
+    board_modes: Vec<Change>,
     /// In us, as all that is reported of them.
     lateness_us: Vec<f64>,
     capture_to_command_us: Vec<f64>,
@@ -230,29 +230,45 @@ impl<'a> Stats<'a> {
     }
 
     /// Counts a row.
-    pub(super) fn add(&mut self, row: &Row, message: Message<'_>) {
+    pub(super) fn add(&mut self, row: Row<'_>) -> Result<(), DumpError> {
         if let Some(time_ns) = row.time_ns {
-            self.first_ns = Some(self.first_ns.map_or(time_ns, |first| first.min(time_ns)));
-            self.last_ns = Some(self.last_ns.map_or(time_ns, |last| last.max(time_ns)));
+            let [first_ns, last_ns] = self.span_ns.unwrap_or([time_ns; 2]);
+            self.span_ns = Some([first_ns.min(time_ns), last_ns.max(time_ns)]);
         }
         if let Some(arrivals) = self.arrivals.get_mut(row.kind) {
             arrivals.add(row.time_ns);
         }
         let time_ns = row.time_ns.unwrap_or_default();
-        match message {
-            Message::Entry(Entry::Tick(tick)) => self.add_tick(time_ns, tick),
-            Message::Entry(Entry::Telemetry(record)) => {
-                self.add_telemetry(time_ns, &record.telemetry);
+        match row.message {
+            Message::Recorded(reader) => {
+                reader.read_entry(|entry| self.add_entry(time_ns, entry))?;
             }
-            Message::Entry(Entry::Status(record)) => self.add_status(&record.status),
-            Message::Entry(Entry::Pose(observation)) => self.add_pose(time_ns, observation),
+            Message::Entry(entry) => self.add_entry(time_ns, &entry),
+            Message::Frame(frame) => {
+                if let Some(entry) = &frame.entry {
+                    self.add_entry(time_ns, entry);
+                }
+                if let Some(reason) = frame.broken {
+                    count(&mut self.report.line.broken, reason.to_owned());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Counts an entry; a tick of a record is without its events.
+    fn add_entry(&mut self, time_ns: i64, entry: &Entry) {
+        match entry {
+            Entry::Tick(tick) => self.add_tick(time_ns, tick),
+            Entry::Telemetry(record) => self.add_telemetry(time_ns, &record.telemetry),
+            Entry::Status(record) => self.add_status(&record.status),
+            Entry::Pose(observation) => self.add_pose(time_ns, observation),
             // The count since the record began.
-            Message::Entry(Entry::Drops(drops)) => {
+            Entry::Drops(drops) => {
                 let dropped = &mut self.report.entries_dropped;
                 *dropped = drops.entries.max(*dropped);
             }
-            Message::Broken(reason) => count(&mut self.report.line.broken, reason.to_owned()),
-            Message::Entry(Entry::Log(_) | Entry::Configuration(_)) | Message::Other => {}
+            Entry::Log(_) | Entry::Configuration(_) => {}
         }
     }
 
@@ -269,14 +285,14 @@ impl<'a> Stats<'a> {
         self.capture_to_command_us
             .extend(latency_ns.map(microseconds));
         let reason = output.reason.map(Reason::name);
-        enter(&mut self.report.modes, time_ns, output.mode.name(), reason);
+        enter(&mut self.modes, (time_ns, (output.mode.name(), reason)));
     }
 
     /// Counts lost telemetry, by the board's clock.
     fn add_telemetry(&mut self, time_ns: i64, telemetry: &Telemetry) {
         let board_us = telemetry.board_time_us;
         let line = &mut self.report.line;
-        line.telemetry = true;
+        line.telemetry += 1;
         if let Some((last_ns, last_us)) = self.telemetry.replace((time_ns, board_us)) {
             let passed_us = board_us.wrapping_sub(last_us);
             if passed_us.cast_signed() < 0 {
@@ -290,15 +306,14 @@ impl<'a> Stats<'a> {
                     line.gaps += 1;
                     let gap = &mut self.telemetry_gap;
                     gap.add(last_ns, last_ns + i64::from(passed_us) * 1_000);
-                    line.longest_gap_ms = Some(milliseconds(gap.longest_ns));
-                    line.longest_gap_at_s = Some(seconds(gap.begin_ns));
+                    [line.longest_gap_ms, line.longest_gap_at_s] = figures(Some(*gap));
                 }
             }
         }
         let cause = telemetry.stop_cause;
         let reason = (cause != StopCause::None).then(|| cause.name());
         let mode = telemetry.mode.name();
-        enter(&mut self.report.board_modes, time_ns, mode, reason);
+        enter(&mut self.board_modes, (time_ns, (mode, reason)));
     }
 
     /// Counts what the board has counted.
@@ -343,24 +358,22 @@ impl<'a> Stats<'a> {
         };
         let why = why.map_or_else(String::new, |why| format!(": {}", why.name()));
         count(&mut report.states, format!("{state}{why}"));
-        if let PoseState::Valid(_) = observation.state
-            && let Some(last_ns) = self.valid_ns.replace(time_ns)
-        {
-            let gap = &mut self.between_valid;
-            gap.add(last_ns, time_ns);
-            let some = |value: f64| (gap.longest_ns > 0).then_some(value);
-            report.longest_between_valid_ms = some(milliseconds(gap.longest_ns));
-            report.longest_between_valid_at_s = some(seconds(gap.begin_ns));
+        if let PoseState::Valid(_) = observation.state {
+            self.valid.add(Some(time_ns));
+            let gap = self.valid.longest_gap().filter(|gap| gap.longest_ns > 0);
+            [
+                report.longest_between_valid_ms,
+                report.longest_between_valid_at_s,
+            ] = figures(gap);
         }
     }
 
     /// All that has been counted.
     pub(super) fn report(&self, source: &str, close: &Close) -> Report {
-        let span_ns = self
-            .first_ns
-            .zip(self.last_ns)
-            .map(|(first, last)| last - first);
-        let span_s = span_ns.map_or(0.0, seconds);
+        let span_s = self
+            .span_ns
+            .map_or(0.0, |[first, last]| seconds(last - first));
+        let last_ns = self.span_ns.map_or(0, |[_, last]| last);
         let mut report = Report {
             source: source.to_owned(),
             unfinished: close.unfinished,
@@ -368,56 +381,56 @@ impl<'a> Stats<'a> {
             span_s,
             lateness: Durations::of(&self.lateness_us),
             capture_to_command: Durations::of(&self.capture_to_command_us),
+            modes: spans(&self.modes, last_ns),
+            board_modes: spans(&self.board_modes, last_ns),
             ..self.report.clone()
         };
         let topics = self.kinds.iter().zip(&self.arrivals);
         for (kind, arrivals) in topics.filter(|(kind, _)| kind.chosen) {
-            let gap = arrivals.longest_gap();
+            let [longest_gap_ms, longest_gap_at_s] = figures(arrivals.longest_gap());
             report.topics.push(TopicReport {
                 topic: kind.name,
                 count: arrivals.count,
                 rate_hz: arrivals.rate_hz(),
                 first_s: arrivals.first_ns().map(seconds),
                 last_s: arrivals.last_ns().map(seconds),
-                longest_gap_ms: gap.map(|gap| milliseconds(gap.longest_ns)),
-                longest_gap_at_s: gap.map(|gap| seconds(gap.begin_ns)),
+                longest_gap_ms,
+                longest_gap_at_s,
             });
         }
         report.line.bytes = close.line_bytes;
         let rate = |bytes: u64| (span_s > 0.0).then(|| bytes as f64 / span_s);
         report.line.bytes_per_s = close.line_bytes.and_then(rate);
-        for modes in [&mut report.modes, &mut report.board_modes] {
-            leave(modes, self.last_ns.unwrap_or_default());
-        }
         report
     }
 }
 
-/// Begins a span unless the last one has the same mode and reason.
-fn enter(
-    modes: &mut Vec<ModeSpan>,
-    begin_ns: i64,
-    mode: &'static str,
-    reason: Option<&'static str>,
-) {
-    let last = modes.last();
-    if last.is_none_or(|last| (last.mode, last.reason) != (mode, reason)) {
-        leave(modes, begin_ns);
-        modes.push(ModeSpan {
-            begin_ns,
-            mode,
-            reason,
-            from_s: seconds(begin_ns),
-            duration_s: 0.0,
-        });
+/// Adds a change unless the last one has the same mode and reason.
+fn enter(changes: &mut Vec<Change>, change: Change) {
+    if changes.last().is_none_or(|last| last.1 != change.1) {
+        changes.push(change);
     }
 }
 
-/// Ends the last span.
-fn leave(modes: &mut [ModeSpan], end_ns: i64) {
-    if let Some(last) = modes.last_mut() {
-        last.duration_s = seconds(end_ns - last.begin_ns);
-    }
+/// The modes between the changes, of which the last one ends at `end_ns`.
+fn spans(changes: &[Change], end_ns: i64) -> Vec<ModeSpan> {
+    let ends = changes.iter().skip(1).map(|(begin_ns, _)| *begin_ns);
+    let spans = changes.iter().zip(ends.chain([end_ns]));
+    let span = |((begin_ns, (mode, reason)), end_ns): (&Change, i64)| ModeSpan {
+        mode,
+        reason: *reason,
+        from_s: seconds(*begin_ns),
+        duration_s: seconds(end_ns - begin_ns),
+    };
+    spans.map(span).collect()
+}
+
+/// The length of a gap in ms, and when it began, in s.
+fn figures(gap: Option<Gap>) -> [Option<f64>; 2] {
+    [
+        gap.map(|gap| gap.longest_ns as f64 / 1e6),
+        gap.map(|gap| seconds(gap.begin_ns)),
+    ]
 }
 
 fn count(counts: &mut BTreeMap<String, u64>, what: String) {
@@ -426,10 +439,6 @@ fn count(counts: &mut BTreeMap<String, u64>, what: String) {
 
 fn seconds(ns: i64) -> f64 {
     ns as f64 / 1e9
-}
-
-fn milliseconds(ns: i64) -> f64 {
-    ns as f64 / 1e6
 }
 
 fn microseconds(ns: i64) -> f64 {
@@ -476,11 +485,8 @@ impl fmt::Display for Report {
 
 impl Report {
     fn topics(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            page,
-            "\n\n{:<16}{:>9}{:>10}{:>12}{:>12}{:>16}{:>12}",
-            "topic", "count", "per s", "first s", "last s", "longest gap ms", "at s"
-        )?;
+        let header = "topic               count     per s     first s      last s  longest gap ms        at s";
+        write!(page, "\n\n{header}")?;
         for topic in &self.topics {
             write!(page, "\n{:<16}{:>9}", topic.topic, topic.count)?;
             for (value, width, digits) in [
@@ -501,9 +507,9 @@ impl Report {
 
     fn line(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
         let line = &self.line;
-        if line.telemetry {
+        if line.telemetry > 0 {
             let (lost, gaps, restarts) = (line.telemetry_lost, line.gaps, line.board_restarts);
-            let all = lost + self.count_of("telemetry");
+            let all = lost + line.telemetry;
             write!(page, "\n\ntelemetry lost on the line: {lost} of {all}")?;
             if let (Some(ms), Some(at_s)) = (line.longest_gap_ms, line.longest_gap_at_s) {
                 write!(
@@ -561,7 +567,7 @@ impl Report {
             write!(page, "\nticks: {counted}")?;
         }
         let (dropped, missed) = (self.entries_dropped, self.missed);
-        if self.count_of("tick") > 0 || dropped > 0 {
+        if self.ticks.is_some() || dropped > 0 {
             write!(page, "\nentries that did not reach the record: {dropped}")?;
         }
         if missed > 0 {
@@ -569,11 +575,6 @@ impl Report {
             write!(page, "\nmissed, {why}: {missed}")?;
         }
         Ok(())
-    }
-
-    fn count_of(&self, name: &str) -> u64 {
-        let topic = self.topics.iter().find(|topic| topic.topic == name);
-        topic.map_or(0, |topic| topic.count)
     }
 }
 
