@@ -149,12 +149,10 @@ impl<'a, W: Write> Printer<'a, W> {
         match self.format {
             _ if self.whole => row.message.write_json(text)?,
             Format::Json => {
-                let fields = columns.iter().filter_map(|column| match column {
-                    Column::Field(at) => kind
-                        .fields
-                        .get((*at)?)
-                        .map(String::as_str)
-                        .zip(values.get((*at)?)),
+                let fields = columns.iter().filter_map(|column| match *column {
+                    Column::Field(Some(at)) => {
+                        Some((kind.fields.get(at)?.as_str(), values.get(at)?))
+                    }
                     _ => None,
                 });
                 write_json_object(text, kind.name, fields);
@@ -192,18 +190,13 @@ impl<'a, W: Write> Printer<'a, W> {
         }
         text.push('\n');
         if text.len() >= BLOCK {
-            self.hand_over()?;
+            self.flush()?;
         }
         Ok(())
     }
 
     /// Passes all text so far to the reader.
     pub(super) fn flush(&mut self) -> Result<(), DumpError> {
-        self.hand_over()?;
-        Ok(self.output.flush()?)
-    }
-
-    fn hand_over(&mut self) -> Result<(), DumpError> {
         // Also after a failure: the text must not be printed twice.
         let text = if self.format == Format::Csv && !io::stdout().is_terminal() {
             Cow::Borrowed(self.text.as_str())
@@ -212,7 +205,8 @@ impl<'a, W: Write> Printer<'a, W> {
         };
         let written = self.output.write_all(text.as_bytes());
         self.text.clear();
-        Ok(written?)
+        written?;
+        Ok(self.output.flush()?)
     }
 }
 

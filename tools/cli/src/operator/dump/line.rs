@@ -187,10 +187,9 @@ pub(super) struct Line<'a> {
     start: Instant,
     /// When listening to a port began.
     start_wall_ns: Option<u64>,
-    /// The last time of the board, whose clock dates the frames of a capture.
-    board_us: Option<u32>,
-    /// The time passed since the first time of the board.
-    since_us: i64,
+    /// The board's clock, which dates the frames of a capture: its last time, and the time passed since
+    /// its first.
+    board: Option<(u32, i64)>,
     kinds: &'a [Kind],
     follow: bool,
     received: vec::IntoIter<u8>,
@@ -233,8 +232,7 @@ impl<'a> Line<'a> {
             is_port,
             start: Instant::now(),
             start_wall_ns: wall_ns().filter(|_| is_port),
-            board_us: None,
-            since_us: 0,
+            board: None,
             kinds,
             follow: args.follow && matches!(place, Place::Raw(_)),
             received: Vec::new().into_iter(),
@@ -254,14 +252,14 @@ impl<'a> Line<'a> {
             return i64::try_from(self.start.elapsed().as_nanos()).ok();
         }
         if let Some(board_us) = frame.board_time_us() {
-            let before_us = self.board_us.replace(board_us).unwrap_or(board_us);
+            let (before_us, since_us) = self.board.unwrap_or((board_us, 0));
             let passed = board_us.wrapping_sub(before_us).cast_signed();
             // A restarted clock goes on from where the last one stopped.
-            if passed > RESTART_US {
-                self.since_us += i64::from(passed);
-            }
+            let passed = if passed > RESTART_US { passed } else { 0 };
+            self.board = Some((board_us, since_us + i64::from(passed)));
         }
-        self.board_us.map(|_| self.since_us.saturating_mul(1_000))
+        let (_, since_us) = self.board?;
+        Some(since_us.saturating_mul(1_000))
     }
 
     /// The next stretch in what has been received.
@@ -376,25 +374,19 @@ impl Source for Line<'_> {
             return Ok(());
         }
         let mut received = vec![0; READ_LENGTH];
-        let length = match rustix::io::read(&self.input, &mut received) {
+        let read = match rustix::io::read(&self.input, &mut received) {
+            Err(Errno::INTR) => None,
+            Err(Errno::AGAIN) if self.is_port => None,
+            // Unplugged, or the other end of a pseudo-terminal is closed.
+            Err(_) if self.is_port => Some(0),
             Ok(0) if self.follow => {
                 thread::sleep(PATIENCE);
-                0
+                None
             }
-            Ok(length) => {
-                self.ended = length == 0;
-                length
-            }
-            Err(Errno::INTR) => 0,
-            Err(Errno::AGAIN) if self.is_port => 0,
-            // Unplugged, or the other end of a pseudo-terminal is closed.
-            Err(_) if self.is_port => {
-                self.ended = true;
-                0
-            }
-            Err(error) => return Err(failed(error.into()).into()),
+            read => Some(read.map_err(|error| failed(error.into()))?),
         };
-        received.truncate(length);
+        self.ended = read == Some(0);
+        received.truncate(read.unwrap_or(0));
         self.received = received.into_iter();
         Ok(())
     }

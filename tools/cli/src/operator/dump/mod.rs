@@ -114,15 +114,6 @@ pub struct DumpArgs {
 }
 
 impl DumpArgs {
-    /// What is to be read.
-    fn place(&self) -> Place {
-        match (&self.serial, &self.source) {
-            (Some(port), _) => Place::Serial(port.clone()),
-            (None, Some(path)) => Place::of(path),
-            (None, None) => Place::Stdin,
-        }
-    }
-
     /// Whether the source is all that was said.
     fn is_bare(&self) -> bool {
         self.topic.is_empty()
@@ -165,7 +156,7 @@ pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
     let stdout = io::stdout();
     let is_terminal = stdout.is_terminal();
     // Thousands of rows are of no use to a person.
-    let brief = is_terminal && args.is_bare() && matches!(args.place(), Place::Record(_));
+    let brief = is_terminal && args.is_bare() && matches!(Place::of(args), Place::Record(_));
     let format = args.format.unwrap_or(if args.stats || is_terminal {
         Format::Table
     } else {
@@ -201,7 +192,7 @@ fn print_or_count(
     if counts && format == Format::Csv {
         return Err("--stats has no csv: use --format table or --format json".into());
     }
-    let place = args.place();
+    let place = Place::of(args);
     let name = place.to_string();
     let of_record = matches!(place, Place::Record(_) | Place::Live);
     let mut kinds = if of_record {
@@ -216,7 +207,7 @@ fn print_or_count(
     select::choose(&mut kinds, topics)?;
     let kinds = kinds.as_slice();
     // Mistakes on the command line are reported before anything is opened.
-    let mut stats = Stats::new(kinds, brief);
+    let mut stats = Stats::new(kinds);
 
     let mut printer = (!counts)
         .then(|| Printer::new(&mut output, format, kinds, &args.fields, of_record))
@@ -250,7 +241,7 @@ fn print_or_count(
         let report = stats.report(&name, &close);
         let text = match format {
             Format::Json => serde_json::to_string_pretty(&report)?,
-            Format::Table | Format::Csv => report.to_string(),
+            Format::Table | Format::Csv => report.page(brief),
         };
         writeln!(output, "{text}")?;
         output.flush()?;

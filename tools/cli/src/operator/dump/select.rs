@@ -30,12 +30,8 @@ pub(super) fn check_field(kinds: &[Kind], name: &str) -> Result<(), String> {
     if chosen.iter().any(|kind| kind.index(name).is_some()) {
         return Ok(());
     }
-    let mut known: Vec<&str> = Vec::new();
-    for field in chosen.iter().flat_map(|kind| kind.own_fields()) {
-        if !known.contains(&field.as_str()) {
-            known.push(field);
-        }
-    }
+    let own = chosen.iter().flat_map(|kind| kind.own_fields());
+    let mut known = distinct(own.map(String::as_str));
     known.push(TIME);
     let topics: Vec<_> = chosen.iter().map(|kind| kind.name).collect();
     Err(format!(
@@ -44,6 +40,17 @@ pub(super) fn check_field(kinds: &[Kind], name: &str) -> Result<(), String> {
         near(name, &known),
         known.join(", ")
     ))
+}
+
+/// Each once, where it comes first.
+fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
+    let mut distinct = Vec::new();
+    for item in items {
+        if !distinct.contains(&item) {
+            distinct.push(item);
+        }
+    }
+    distinct
 }
 
 /// A question for the name that was probably meant, if one is near.
@@ -61,13 +68,11 @@ fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
         strsim::normalized_damerau_levenshtein(name, known)
             .max(strsim::normalized_damerau_levenshtein(name, last))
     };
-    let most_alike = || {
-        let measured = known.iter().map(|known| (known, alike(known)));
-        let near = measured.filter(|(_, alike)| *alike >= ALIKE);
-        near.max_by(|(_, a), (_, b)| a.total_cmp(b))
-            .map(|(known, _)| known)
-    };
-    known.iter().find(contained).or_else(most_alike).copied()
+    let measured = known.iter().map(|known| (known, alike(known)));
+    let most_alike = measured.max_by(|(_, a), (_, b)| a.total_cmp(b));
+    let most_alike = most_alike.filter(|(_, alike)| *alike >= ALIKE);
+    let near = || most_alike.map(|(known, _)| known);
+    known.iter().find(contained).or_else(near).copied()
 }
 
 /// The words of a field that holds one of a few, by the schema of its topic; empty for
@@ -79,11 +84,9 @@ fn words(topic: &str, field: &str) -> Vec<String> {
     // The constants of a field stand before it: `uint8 MODE_DRIVING=6`, ..., `uint8 mode`.
     // Other messages, after the line of `=`, are those within this one.
     let schema = topic.schema_text();
+    let lines = schema.lines().take_while(|line| !line.starts_with('='));
     let mut constants = Vec::new();
-    for line in schema.lines().take_while(|line| !line.starts_with('=')) {
-        let Some((_, name)) = line.trim().split_once(' ') else {
-            continue;
-        };
+    for (_, name) in lines.filter_map(|line| line.trim().split_once(' ')) {
         match name.split_once('=') {
             Some((constant, _)) => constants.push(constant),
             None if name == field => break,
@@ -96,15 +99,9 @@ fn words(topic: &str, field: &str) -> Vec<String> {
         .filter_map(|(at, _)| first.get(..=at));
     let shared = |beginning: &&str| constants.iter().all(|name| name.starts_with(beginning));
     let prefix = beginnings.rfind(shared).unwrap_or_default();
-    constants
-        .iter()
-        .map(|name| {
-            name.strip_prefix(prefix)
-                .unwrap_or(name)
-                .to_lowercase()
-                .replace('_', "-")
-        })
-        .collect()
+    let word = |name: &&str| name.strip_prefix(prefix).unwrap_or(name).to_lowercase();
+    let words = constants.iter().map(word);
+    words.map(|word| word.replace('_', "-")).collect()
 }
 
 /// A condition such as `mode=driving` or `lateness_ns>500000`.
@@ -191,24 +188,15 @@ impl Condition {
     /// Refuses a word that the field never has in the chosen kinds.
     fn check_word(&self, kinds: &[Kind]) -> Result<(), String> {
         let Self { field, wanted, .. } = self;
-        let mut known: Vec<String> = Vec::new();
         let has_field = |kind: &&Kind| kind.chosen && kind.index(field).is_some();
-        for kind in kinds.iter().filter(has_field) {
-            let words = words(kind.name, field);
-            // An absent value equals these two.
-            let absent = ["", "none"].contains(&wanted.as_str());
-            if words.is_empty() || absent || words.contains(wanted) {
-                return Ok(());
-            }
-            let new: Vec<_> = words
-                .into_iter()
-                .filter(|word| !known.contains(word))
-                .collect();
-            known.extend(new);
-        }
-        if known.is_empty() {
+        let kinds = kinds.iter().filter(has_field);
+        let lists: Vec<_> = kinds.map(|kind| words(kind.name, field)).collect();
+        let accepts = |words: &Vec<String>| words.is_empty() || words.contains(wanted);
+        // An absent value equals these two.
+        if ["", "none"].contains(&wanted.as_str()) || lists.iter().any(accepts) {
             return Ok(());
         }
+        let known = distinct(lists.into_iter().flatten());
         Err(format!(
             "{field} is never {wanted:?}; it is one of {}",
             known.join(", ")
@@ -358,7 +346,7 @@ fn wall_ns(text: &str) -> Option<i64> {
 }
 
 /// The times of the first and the last row in seconds, and the same times on the wall.
-fn span(start_wall_ns: u64, span_ns: [i64; 2]) -> String {
+fn span_text(start_wall_ns: u64, span_ns: [i64; 2]) -> String {
     let start_ns = i64::try_from(start_wall_ns).unwrap_or(i64::MAX);
     // To a millisecond, as the seconds.
     let wall = |ns| Moment::WallNs(start_ns.saturating_add(ns) / 1_000_000 * 1_000_000);
@@ -384,37 +372,37 @@ pub(super) fn range(
     name: &str,
 ) -> Result<Option<RangeInclusive<i64>>, String> {
     let (start_wall_ns, span_ns) = (source.start_wall_ns(), source.span_ns());
-    let since = |moment: Moment| moment.since(start_wall_ns);
-    let span = start_wall_ns
-        .zip(span_ns)
-        .map(|(start, span_ns)| span(start, span_ns))
-        .unwrap_or_default();
-    let [first_ns, last_ns] = span_ns.unwrap_or([i64::MIN, i64::MAX]);
+    let since = |option: &str, moment: Option<Moment>| match moment {
+        None => Ok(None),
+        Some(moment) => moment.since(start_wall_ns).map(Some).ok_or_else(|| {
+            format!("{name} holds no wall time: give --{option} in seconds since its start")
+        }),
+    };
+    let (from_ns, to_ns) = (since("from", from)?, since("to", to)?);
+    let span = start_wall_ns.zip(span_ns);
+    let span = span.map_or_else(String::new, |(start_ns, span_ns)| {
+        span_text(start_ns, span_ns)
+    });
     // One may be a date and the other a number of seconds.
     if let Some((from, to)) = from.zip(to)
-        && since(from)
-            .zip(since(to))
-            .is_some_and(|(from, to)| from > to)
+        && from_ns > to_ns
     {
         let of_record = format!("; the entries of the record are from {span}");
         let of_record = if span.is_empty() { "" } else { &of_record };
         return Err(backwards(from, to, of_record));
     }
-    let check = |option: &str, moment: Moment, has_rows: &dyn Fn(i64) -> bool| match since(moment) {
-        None => Err(format!(
-            "{name} holds no wall time: give --{option} in seconds since its start"
-        )),
-        Some(ns) if !has_rows(ns) => Err(format!(
-            "--{option} {moment} leaves nothing of {name}: its entries are from {span}"
-        )),
-        Some(ns) => Ok(ns),
-    };
-    let from_ns = from
-        .map(|from| check("from", from, &|ns| ns <= last_ns))
-        .transpose()?;
-    let to_ns = to
-        .map(|to| check("to", to, &|ns| ns >= first_ns))
-        .transpose()?;
+    let [first_ns, last_ns] = span_ns.unwrap_or([i64::MIN, i64::MAX]);
+    let (late, early) = (
+        from_ns > Some(last_ns),
+        to_ns.is_some_and(|ns| ns < first_ns),
+    );
+    for (option, moment, is_outside) in [("from", from, late), ("to", to, early)] {
+        if let Some(moment) = moment.filter(|_| is_outside) {
+            return Err(format!(
+                "--{option} {moment} leaves nothing of {name}: its entries are from {span}"
+            ));
+        }
+    }
     let is_given = from_ns.or(to_ns).is_some();
     Ok(is_given.then(|| from_ns.unwrap_or(i64::MIN)..=to_ns.unwrap_or(i64::MAX)))
 }

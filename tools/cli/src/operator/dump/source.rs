@@ -17,7 +17,7 @@ use singletrack_api::ClientError;
 use singletrack_record::{Ending, Entry, Reader, Recorded, Topic, Value};
 use singletrackd::monotonic_ns;
 
-use super::{DumpError, line::Frame};
+use super::{DumpArgs, DumpError, line::Frame};
 use crate::operator::entries::{Entries, Heard};
 
 /// The field that every row has beside its own: seconds since the start of the
@@ -226,7 +226,7 @@ impl Source for Live {
     }
 }
 
-/// The source that the command line names.
+/// Where rows come from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Place {
     /// The running daemon.
@@ -257,8 +257,13 @@ impl fmt::Display for Place {
 const MCAP_MAGIC: [u8; 5] = *b"\x89MCAP";
 
 impl Place {
-    /// The source with this name.
-    pub(super) fn of(path: &Path) -> Self {
+    /// The source that the command line names.
+    pub(super) fn of(args: &DumpArgs) -> Self {
+        let path = match (&args.serial, &args.source) {
+            (Some(port), _) => return Self::Serial(port.clone()),
+            (None, Some(path)) => path,
+            (None, None) => return Self::Stdin,
+        };
         let name = path.to_string_lossy();
         let place = match path.metadata() {
             _ if name == "-" => return Self::Stdin,
@@ -272,7 +277,7 @@ impl Place {
             // Opening a record reports best why it failed.
             Err(_) => Self::Record,
         };
-        place(path.to_owned())
+        place(path.clone())
     }
 }
 

@@ -1,6 +1,6 @@
 //! Statistics, also as a page for a person: rates, gaps, losses, errors, latencies, modes.
 
-use std::{collections::BTreeMap, fmt};
+use std::{collections::BTreeMap, fmt::Display};
 
 use serde::Serialize;
 use singletrack_mocap::{Observation, PoseState};
@@ -19,9 +19,6 @@ use super::{
 pub(super) struct Report {
     /// The source.
     pub(super) source: String,
-    /// Whether the page leaves out the distributions.
-    #[serde(skip)]
-    pub(super) brief: bool,
     /// Whether it is a record that has not been finished.
     pub(super) unfinished: bool,
     /// Rows that arrived faster than they were read, and are not counted.
@@ -215,16 +212,10 @@ pub(super) struct Stats<'a> {
 }
 
 impl<'a> Stats<'a> {
-    /// `brief`: whether the page leaves out the distributions.
-    pub(super) fn new(kinds: &'a [Kind], brief: bool) -> Self {
-        let report = Report {
-            brief,
-            ..Report::default()
-        };
+    pub(super) fn new(kinds: &'a [Kind]) -> Self {
         Self {
             kinds,
             arrivals: vec![Arrivals::default(); kinds.len()],
-            report,
             ..Self::default()
         }
     }
@@ -295,19 +286,17 @@ impl<'a> Stats<'a> {
         line.telemetry += 1;
         if let Some((last_ns, last_us)) = self.telemetry.replace((time_ns, board_us)) {
             let passed_us = board_us.wrapping_sub(last_us);
+            // Rounded: a record may be up to half a period early or late.
+            let periods = passed_us.saturating_add(TELEMETRY_PERIOD_US / 2) / TELEMETRY_PERIOD_US;
+            let lost = periods.saturating_sub(1);
             if passed_us.cast_signed() < 0 {
                 line.board_restarts += 1;
-            } else {
-                // Rounded: a record may be up to half a period early or late.
-                let periods = (passed_us + TELEMETRY_PERIOD_US / 2) / TELEMETRY_PERIOD_US;
-                let lost = periods.saturating_sub(1);
-                if lost > 0 {
-                    line.telemetry_lost += u64::from(lost);
-                    line.gaps += 1;
-                    let gap = &mut self.telemetry_gap;
-                    gap.add(last_ns, last_ns + i64::from(passed_us) * 1_000);
-                    [line.longest_gap_ms, line.longest_gap_at_s] = figures(Some(*gap));
-                }
+            } else if lost > 0 {
+                line.telemetry_lost += u64::from(lost);
+                line.gaps += 1;
+                let gap = &mut self.telemetry_gap;
+                gap.add(last_ns, last_ns + i64::from(passed_us) * 1_000);
+                [line.longest_gap_ms, line.longest_gap_at_s] = figures(Some(*gap));
             }
         }
         let cause = telemetry.stop_cause;
@@ -453,42 +442,32 @@ const MAX_SPANS: usize = 40;
 /// What a summary does not show.
 const MORE: &str = "--stats adds latencies, --topic tick prints rows, --help has examples";
 
-impl fmt::Display for Report {
-    fn fmt(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(page, "{}: {:.3} s", self.source, self.span_s)?;
-        if self.unfinished {
-            write!(page, ", unfinished")?;
-        }
-        self.topics(page)?;
-        self.line(page)?;
-        self.counters(page)?;
-        for (title, durations) in [
-            ("lateness of ticks, in us", &self.lateness),
-            (
-                "from mid-exposure to the command leaving, in us (ticks with a new pose)",
-                &self.capture_to_command,
-            ),
-        ] {
-            if let Some(durations) = durations.as_ref().filter(|_| !self.brief) {
-                write!(page, "\n\n{title}")?;
-                distribution(page, durations)?;
-            }
-        }
-        modes(page, "modes", &self.modes)?;
-        modes(page, "modes of the board", &self.board_modes)?;
-        if self.brief {
-            write!(page, "\n\n{MORE}")?;
-        }
-        Ok(())
-    }
-}
-
 impl Report {
-    fn topics(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
+    /// It as a page for a person; a `brief` one leaves out the distributions.
+    pub(super) fn page(&self, brief: bool) -> String {
+        let unfinished = if self.unfinished { ", unfinished" } else { "" };
+        let mut page = format!("{}: {:.3} s{unfinished}", self.source, self.span_s);
+        page += &self.topics();
+        page += &self.line();
+        page += &self.counters();
+        if !brief {
+            page += &distribution("lateness of ticks, in us", self.lateness.as_ref());
+            let title = "from mid-exposure to the command leaving, in us (ticks with a new pose)";
+            page += &distribution(title, self.capture_to_command.as_ref());
+        }
+        page += &modes("modes", &self.modes);
+        page += &modes("modes of the board", &self.board_modes);
+        if brief {
+            page += &format!("\n\n{MORE}");
+        }
+        page
+    }
+
+    fn topics(&self) -> String {
         let header = "topic               count     per s     first s      last s  longest gap ms        at s";
-        write!(page, "\n\n{header}")?;
+        let mut table = format!("\n\n{header}");
         for topic in &self.topics {
-            write!(page, "\n{:<16}{:>9}", topic.topic, topic.count)?;
+            table += &format!("\n{:<16}{:>9}", topic.topic, topic.count);
             for (value, width, digits) in [
                 (topic.rate_hz, 10, 2),
                 (topic.first_s, 12, 3),
@@ -496,42 +475,37 @@ impl Report {
                 (topic.longest_gap_ms, 16, 3),
                 (topic.longest_gap_at_s, 12, 3),
             ] {
-                match value {
-                    Some(value) => write!(page, "{value:>width$.digits$}")?,
-                    None => write!(page, "{:>width$}", "-")?,
-                }
+                let value = value.map_or("-".to_owned(), |value| format!("{value:.digits$}"));
+                table += &format!("{value:>width$}");
             }
         }
-        Ok(())
+        table
     }
 
-    fn line(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn line(&self) -> String {
         let line = &self.line;
+        let mut text = String::new();
         if line.telemetry > 0 {
             let (lost, gaps, restarts) = (line.telemetry_lost, line.gaps, line.board_restarts);
             let all = lost + line.telemetry;
-            write!(page, "\n\ntelemetry lost on the line: {lost} of {all}")?;
-            if let (Some(ms), Some(at_s)) = (line.longest_gap_ms, line.longest_gap_at_s) {
-                write!(
-                    page,
-                    " (in {gaps} gaps, the longest {ms:.1} ms at {at_s:.3} s)"
-                )?;
+            text += &format!("\n\ntelemetry lost on the line: {lost} of {all}");
+            if let Some((ms, at_s)) = line.longest_gap_ms.zip(line.longest_gap_at_s) {
+                text += &format!(" (in {gaps} gaps, the longest {ms:.1} ms at {at_s:.3} s)");
             }
             if restarts > 0 {
-                write!(page, "; the board restarted {restarts} times")?;
+                text += &format!("; the board restarted {restarts} times");
             }
         }
         if let Some(bytes) = line.bytes {
-            write!(page, "\nbytes on the line: {bytes}")?;
-            if let Some(rate) = line.bytes_per_s {
-                write!(page, ", {rate:.0} per s")?;
-            }
-            write!(page, "\nbroken frames: {}", counts(&line.broken))?;
+            let rate = line.bytes_per_s.map(|rate| format!(", {rate:.0} per s"));
+            let (rate, broken) = (rate.unwrap_or_default(), counts(&line.broken));
+            text += &format!("\nbytes on the line: {bytes}{rate}\nbroken frames: {broken}");
         }
-        Ok(())
+        text
     }
 
-    fn counters(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn counters(&self) -> String {
+        let mut text = String::new();
         if let Some(board) = &self.board {
             let counted = counts([
                 ("frames received", &board.frames_received),
@@ -541,20 +515,17 @@ impl Report {
                 ("bytes overrun", &board.bytes_overrun),
                 ("imu errors", &board.imu_errors),
             ]);
-            write!(page, "\nthe board counted: {counted}")?;
+            text += &format!("\nthe board counted: {counted}");
             if let Some(refusal) = board.last_refusal.filter(|_| board.drives_refused > 0) {
-                write!(page, " (the last refusal: {refusal})")?;
+                text += &format!(" (the last refusal: {refusal})");
             }
         }
         if let Some(poses) = &self.poses {
             let (states, missing) = (counts(&poses.states), poses.frames_missing);
-            write!(page, "\nposes: {states}; {missing} frames missing")?;
+            text += &format!("\nposes: {states}; {missing} frames missing");
             let longest = poses.longest_between_valid_ms;
             if let Some((ms, at_s)) = longest.zip(poses.longest_between_valid_at_s) {
-                write!(
-                    page,
-                    "; at most {ms:.1} ms between valid ones, at {at_s:.3} s"
-                )?;
+                text += &format!("; at most {ms:.1} ms between valid ones, at {at_s:.3} s");
             }
         }
         if let Some(ticks) = &self.ticks {
@@ -564,21 +535,21 @@ impl Report {
                 ("without a new pose", &ticks.without_new_pose),
                 ("commands not written", &ticks.commands_not_written),
             ]);
-            write!(page, "\nticks: {counted}")?;
+            text += &format!("\nticks: {counted}");
         }
         let (dropped, missed) = (self.entries_dropped, self.missed);
         if self.ticks.is_some() || dropped > 0 {
-            write!(page, "\nentries that did not reach the record: {dropped}")?;
+            text += &format!("\nentries that did not reach the record: {dropped}");
         }
         if missed > 0 {
             let why = "because they came faster than they were taken";
-            write!(page, "\nmissed, {why}: {missed}")?;
+            text += &format!("\nmissed, {why}: {missed}");
         }
-        Ok(())
+        text
     }
 }
 
-fn counts<'a, T: fmt::Display>(counts: impl IntoIterator<Item = (T, &'a u64)>) -> String {
+fn counts<'a, T: Display>(counts: impl IntoIterator<Item = (T, &'a u64)>) -> String {
     let counts = counts.into_iter();
     let counts: Vec<_> = counts
         .map(|(what, count)| format!("{count} {what}"))
@@ -589,49 +560,40 @@ fn counts<'a, T: fmt::Display>(counts: impl IntoIterator<Item = (T, &'a u64)>) -
     }
 }
 
-fn distribution(page: &mut fmt::Formatter<'_>, of: &Durations) -> fmt::Result {
-    write!(page, "\n ")?;
-    for (name, value) in [
-        ("min", of.min),
-        ("p50", of.p50),
-        ("p90", of.p90),
-        ("p99", of.p99),
-        ("p99.9", of.p999),
-        ("max", of.max),
-    ] {
-        write!(page, " {name} {value:.1}")?;
-    }
+fn distribution(title: &str, durations: Option<&Durations>) -> String {
+    let Some(of) = durations else {
+        return String::new();
+    };
+    let mut text = format!(
+        "\n\n{title}\n  min {:.1} p50 {:.1} p90 {:.1} p99 {:.1} p99.9 {:.1} max {:.1}",
+        of.min, of.p50, of.p90, of.p99, of.p999, of.max
+    );
     let most = of.histogram.iter().map(|bucket| bucket.count).max();
     for bucket in &of.histogram {
-        write!(page, "\n  up to {:>9} {:>9}", bucket.up_to, bucket.count)?;
         // Every bucket that is not empty has a bar.
         let bar = (bucket.count * BAR).div_ceil(most.unwrap_or(1).max(1));
-        if bar > 0 {
-            write!(page, "  {}", "#".repeat(bar as usize))?;
-        }
+        let bar = "#".repeat(bar as usize);
+        let line = format!("  up to {:>9} {:>9}  {bar}", bucket.up_to, bucket.count);
+        text += &format!("\n{}", line.trim_end());
     }
-    Ok(())
+    text
 }
 
-fn modes(page: &mut fmt::Formatter<'_>, title: &str, spans: &[ModeSpan]) -> fmt::Result {
+fn modes(title: &str, spans: &[ModeSpan]) -> String {
     if spans.is_empty() {
-        return Ok(());
+        return String::new();
     }
-    write!(page, "\n\n{title:<20}{:>12}{:>12}  why", "from s", "for s")?;
+    let mut table = format!("\n\n{title:<20}      from s       for s  why");
     for span in spans.iter().take(MAX_SPANS) {
-        write!(
-            page,
-            "\n  {:<18}{:>12.3}{:>12.3}  {}",
-            span.mode,
-            span.from_s,
-            span.duration_s,
-            span.reason.unwrap_or("-")
-        )?;
+        let (mode, why) = (span.mode, span.reason.unwrap_or("-"));
+        let (from_s, for_s) = (span.from_s, span.duration_s);
+        table += &format!("\n  {mode:<18}{from_s:>12.3}{for_s:>12.3}  {why}");
     }
-    if let Some(more) = spans.len().checked_sub(MAX_SPANS).filter(|more| *more > 0) {
-        write!(page, "\n  and {more} more: --format json has them all")?;
+    if spans.len() > MAX_SPANS {
+        let more = spans.len() - MAX_SPANS;
+        table += &format!("\n  and {more} more: --format json has them all");
     }
-    Ok(())
+    table
 }
 
 #[cfg(test)]
