@@ -125,10 +125,7 @@ impl<'a, W: Write> Printer<'a, W> {
                 text.push('\n');
             }
             Format::Json => {}
-            Format::Csv => {
-                text.push_str(&header.join(","));
-                text.push('\n');
-            }
+            Format::Csv => *text = header.join(",") + "\n",
         }
         Ok(printer)
     }
@@ -254,10 +251,9 @@ fn push_for_person(value: &Value, cell: &mut String) {
         Value::Text(text) => {
             for character in text.chars() {
                 // A line of the log must not break out of its row.
-                if character.is_control() {
-                    cell.extend(character.escape_default());
-                } else {
-                    cell.push(character);
+                match character.is_control() {
+                    true => cell.extend(character.escape_default()),
+                    false => cell.push(character),
                 }
             }
         }

@@ -1,18 +1,18 @@
 //! Frames on the line itself, whole and broken ones: from a serial port, or from a capture of its
 //! bytes.
 
-use std::{borrow::Cow, fs::File, io, os::fd::AsFd, task::Poll, thread, time::Instant, vec};
+use std::{borrow::Cow, fs::File, io, os::fd::AsFd, task::Poll, thread, vec};
 
 use rustix::io::Errno;
 use singletrack_protocol::{
     DecodeError, Decoder, FrameError, MAX_PAYLOAD_LENGTH, Packet, ToHost, VERSION,
 };
-use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Value};
-use singletrackd::serial_port;
+use singletrack_record::{ClockMapping, Entry, StatusRecord, TelemetryRecord, Value};
+use singletrackd::{monotonic_ns, serial_port};
 
 use super::{
     DumpArgs, DumpError,
-    source::{Close, Kind, Message, Next, PATIENCE, Place, Row, Source, TELEMETRY, wall_ns},
+    source::{Close, Kind, Message, Next, PATIENCE, Place, Row, Source, TELEMETRY, now},
 };
 use crate::operator::terminal::wait_to_read;
 
@@ -153,12 +153,10 @@ fn text(text: impl Into<Cow<'static, str>>) -> Value {
 pub(super) fn kinds() -> Vec<Kind> {
     // Zeros are a payload of every message.
     let zeros = [0; MAX_PAYLOAD_LENGTH];
-    let example = |kind: u8| match ToHost::decode(Packet { kind, payload: &[] }) {
-        Err(DecodeError::Length { expected, .. }) => {
-            let payload = zeros.get(..expected)?;
-            ToHost::decode(Packet { kind, payload }).ok()
-        }
-        other => other.ok(),
+    let example = |kind: u8| {
+        let payloads = (0..=MAX_PAYLOAD_LENGTH).filter_map(|length| zeros.get(..length));
+        let mut packets = payloads.map(|payload| Packet { kind, payload });
+        packets.find_map(|packet| ToHost::decode(packet).ok())
     };
     let messages = (0..=u8::MAX).filter_map(example);
     let frames = messages.map(|message| Frame::of(&message));
@@ -182,11 +180,9 @@ pub(super) fn kinds() -> Vec<Kind> {
 pub(super) struct Line<'a> {
     name: String,
     input: Box<dyn AsFd>,
-    /// Whether it is a serial port: its frames are dated when they arrive.
-    is_port: bool,
-    start: Instant,
-    /// When listening to a port began.
-    start_wall_ns: Option<u64>,
+    /// When listening to a serial port began, whose frames are dated when they arrive; none of a
+    /// capture.
+    start: Option<ClockMapping>,
     /// The board's clock, which dates the frames of a capture: its last time, and the time passed since
     /// its first.
     board: Option<(u32, i64)>,
@@ -217,7 +213,6 @@ impl<'a> Line<'a> {
         kinds: &'a [Kind],
     ) -> Result<Self, DumpError> {
         let name = place.to_string();
-        let is_port = matches!(place, Place::Serial(_));
         let input: Box<dyn AsFd> = match place {
             // The half that writes is closed unused.
             Place::Serial(path) => Box::new(serial_port::open(path, args.baud)?.0),
@@ -229,9 +224,7 @@ impl<'a> Line<'a> {
         Ok(Self {
             name,
             input,
-            is_port,
-            start: Instant::now(),
-            start_wall_ns: wall_ns().filter(|_| is_port),
+            start: matches!(place, Place::Serial(_)).then(now),
             board: None,
             kinds,
             follow: args.follow && matches!(place, Place::Raw(_)),
@@ -248,8 +241,8 @@ impl<'a> Line<'a> {
 
     /// When a frame came, in ns since the start.
     fn date(&mut self, frame: &Frame) -> Option<i64> {
-        if self.is_port {
-            return i64::try_from(self.start.elapsed().as_nanos()).ok();
+        if let Some(start) = self.start {
+            return i64::try_from(monotonic_ns() - start.monotonic_ns).ok();
         }
         if let Some(board_us) = frame.board_time_us() {
             let (before_us, since_us) = self.board.unwrap_or((board_us, 0));
@@ -266,24 +259,23 @@ impl<'a> Line<'a> {
     fn search(&mut self) -> Option<Frame> {
         while let Some(byte) = self.received.next() {
             self.taken += 1;
-            if byte == 0 {
-                let frame = self.frame();
-                if let Some(found) = self.end_stretch(frame) {
-                    return Some(found);
-                }
-            } else {
-                self.decoder.push_data(byte);
+            if self.decoder.push_data(byte) {
                 if self.bytes.len() < SHOWN_BYTES {
                     self.bytes.push(byte);
                 }
+                continue;
+            }
+            let frame = self.frame();
+            if let Some(found) = self.end_stretch(frame) {
+                return Some(found);
             }
         }
-        let unfinished = self.ended && self.taken > self.begin;
-        let frame = unfinished.then(|| {
-            let detail = "the bytes end in the middle of a frame";
-            Frame::broken("unfinished", detail, &self.bytes)
-        });
-        self.ended.then(|| self.end_stretch(frame))?
+        if !self.ended || self.taken == self.begin {
+            return None;
+        }
+        let detail = "the bytes end in the middle of a frame";
+        let frame = Frame::broken("unfinished", detail, &self.bytes);
+        self.end_stretch(Some(frame))
     }
 
     /// What the stretch holds that a zero ends; none if it is empty.
@@ -340,8 +332,8 @@ fn unreadable(name: &str, error: &io::Error) -> String {
 }
 
 impl Source for Line<'_> {
-    fn start_wall_ns(&self) -> Option<u64> {
-        self.start_wall_ns
+    fn start(&self) -> Option<ClockMapping> {
+        self.start
     }
 
     fn next(&mut self) -> Next<'_> {
@@ -349,7 +341,7 @@ impl Source for Line<'_> {
             if !self.ended {
                 return Ok(Poll::Pending);
             }
-            if !self.is_port && self.whole == 0 {
+            if self.start.is_none() && self.whole == 0 {
                 let Self { name, taken, .. } = self;
                 let why = format!(
                     "{name} holds no whole frame of the protocol in {taken} bytes: name a \
@@ -373,12 +365,13 @@ impl Source for Line<'_> {
         if !wait_to_read([self.input.as_fd()], PATIENCE).map_err(failed)? {
             return Ok(());
         }
+        let is_port = self.start.is_some();
         let mut received = vec![0; READ_LENGTH];
         let read = match rustix::io::read(&self.input, &mut received) {
             Err(Errno::INTR) => None,
-            Err(Errno::AGAIN) if self.is_port => None,
+            Err(Errno::AGAIN) if is_port => None,
             // Unplugged, or the other end of a pseudo-terminal is closed.
-            Err(_) if self.is_port => Some(0),
+            Err(_) if is_port => Some(0),
             Ok(0) if self.follow => {
                 thread::sleep(PATIENCE);
                 None
@@ -392,7 +385,7 @@ impl Source for Line<'_> {
     }
 
     fn close(&self) -> Close {
-        let hung_up = self.ended && self.is_port;
+        let hung_up = self.ended && self.start.is_some();
         Close {
             note: hung_up.then(|| "the line hung up".to_owned()),
             line_bytes: Some(self.taken),

@@ -208,7 +208,6 @@ fn print_or_count(
     let kinds = kinds.as_slice();
     // Mistakes on the command line are reported before anything is opened.
     let mut stats = Stats::new(kinds);
-
     let mut printer = (!counts)
         .then(|| Printer::new(&mut output, format, kinds, &args.fields, of_record))
         .transpose()?;
@@ -276,14 +275,10 @@ fn pump<W: Write>(
             }
             Poll::Ready(Some(row)) => row,
         };
-        if !filter.has_chosen(row.kind) {
-            continue;
-        }
-        if filter.is_over(&row) {
-            break;
-        }
-        if !filter.covers(&row) {
-            continue;
+        match filter.covers(&row) {
+            Some(true) => {}
+            Some(false) => continue,
+            None => break,
         }
         if needs_values {
             row.message.read_values(&mut values)?;

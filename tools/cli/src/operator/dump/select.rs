@@ -134,22 +134,18 @@ impl FromStr for Condition {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let none = || {
-            format!(
+        let at = text.find(['=', '!', '<', '>']).unwrap_or_default();
+        let (field, rest) = text.split_at(at);
+        let field = field.trim();
+        let found = OPERATORS
+            .into_iter()
+            .find_map(|(sign, accepts)| Some((sign, accepts, rest.strip_prefix(sign)?.trim())));
+        let Some((sign, accepts, value)) = found.filter(|_| !field.is_empty()) else {
+            return Err(format!(
                 "not a condition: {text:?}; use FIELD=VALUE, or !=, <, <=, > or >= in place of = (in \
                  quotes, for the shell)"
-            )
+            ));
         };
-        let at = text.find(['=', '!', '<', '>']).ok_or_else(none)?;
-        let (field, rest) = text.split_at_checked(at).ok_or_else(none)?;
-        let (sign, accepts, value) = OPERATORS
-            .into_iter()
-            .find_map(|(sign, accepts)| Some((sign, accepts, rest.strip_prefix(sign)?)))
-            .ok_or_else(none)?;
-        let (field, value) = (field.trim(), value.trim());
-        if field.is_empty() {
-            return Err(none());
-        }
         let condition = Self {
             field: field.to_owned(),
             accepts,
@@ -240,22 +236,18 @@ impl<'a> Filter<'a> {
         !self.conditions.is_empty()
     }
 
-    /// Whether no row after this one is within the range.
-    pub(super) fn is_over(&self, row: &Row<'_>) -> bool {
-        let ends = row.time_ns.zip(self.range.as_ref());
-        ends.is_some_and(|(time_ns, range)| time_ns > range.end().saturating_add(DISORDER_NS))
-    }
-
-    /// Whether rows of this kind are asked for.
-    pub(super) fn has_chosen(&self, kind: usize) -> bool {
-        self.kinds.get(kind).is_some_and(|kind| kind.chosen)
-    }
-
-    /// Whether the row is within the range. One without a time is within no range.
-    pub(super) fn covers(&self, row: &Row<'_>) -> bool {
-        let is_within =
-            |range: &RangeInclusive<i64>| row.time_ns.is_some_and(|ns| range.contains(&ns));
-        self.range.as_ref().is_none_or(is_within)
+    /// Whether the row is of a chosen kind and within the range; none if no row after it is within the
+    /// range. One without a time is within no range.
+    pub(super) fn covers(&self, row: &Row<'_>) -> Option<bool> {
+        let is_chosen = self.kinds.get(row.kind).is_some_and(|kind| kind.chosen);
+        match (&self.range, row.time_ns) {
+            (Some(range), Some(time_ns)) if is_chosen => {
+                let is_over = time_ns > range.end().saturating_add(DISORDER_NS);
+                (!is_over).then(|| range.contains(&time_ns))
+            }
+            (Some(_), _) => Some(false),
+            (None, _) => Some(is_chosen),
+        }
     }
 
     /// Whether a row of this kind meets all conditions.
@@ -282,22 +274,18 @@ impl FromStr for Moment {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        if let Some(seconds) = text
-            .parse()
-            .ok()
-            .filter(|seconds: &f64| seconds.is_finite())
-        {
-            if seconds < 0.0 {
-                return Err("there is nothing before the start: give 0 or more seconds".to_owned());
+        match text.parse::<f64>() {
+            Ok(seconds) if (0.0..f64::INFINITY).contains(&seconds) => Ok(Self::Seconds(seconds)),
+            Ok(seconds) if seconds.is_finite() => {
+                Err("there is nothing before the start: give 0 or more seconds".to_owned())
             }
-            return Ok(Self::Seconds(seconds));
+            _ => wall_ns(text).map(Self::WallNs).ok_or_else(|| {
+                format!(
+                    "not a time: {text:?}; use seconds since the start (12.5), or date, time and zone \
+                     (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
+                )
+            }),
         }
-        wall_ns(text).map(Self::WallNs).ok_or_else(|| {
-            format!(
-                "not a time: {text:?}; use seconds since the start (12.5), or date, time and zone \
-                 (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
-            )
-        })
     }
 }
 
@@ -371,7 +359,7 @@ pub(super) fn range(
     source: &dyn Source,
     name: &str,
 ) -> Result<Option<RangeInclusive<i64>>, String> {
-    let (start_wall_ns, span_ns) = (source.start_wall_ns(), source.span_ns());
+    let (start_wall_ns, span_ns) = (source.start().map(|start| start.wall_ns), source.span_ns());
     let since = |option: &str, moment: Option<Moment>| match moment {
         None => Ok(None),
         Some(moment) => moment.since(start_wall_ns).map(Some).ok_or_else(|| {

@@ -14,7 +14,7 @@ use std::{
 
 use jiff::Timestamp;
 use singletrack_api::ClientError;
-use singletrack_record::{Ending, Entry, Reader, Recorded, Topic, Value};
+use singletrack_record::{ClockMapping, Ending, Entry, Reader, Recorded, Topic, Value};
 use singletrackd::monotonic_ns;
 
 use super::{DumpArgs, DumpError, line::Frame};
@@ -122,14 +122,14 @@ impl Record {
     }
 
     const fn since_start(&self, wall_ns: u64) -> i64 {
-        let start_ns = self.reader.meta.start.wall_ns;
-        wall_ns.wrapping_sub(start_ns).cast_signed()
+        let start = self.reader.meta.start;
+        wall_ns.wrapping_sub(start.wall_ns).cast_signed()
     }
 }
 
 impl Source for Record {
-    fn start_wall_ns(&self) -> Option<u64> {
-        Some(self.reader.meta.start.wall_ns)
+    fn start(&self) -> Option<ClockMapping> {
+        Some(self.reader.meta.start)
     }
 
     fn span_ns(&self) -> Option<[i64; 2]> {
@@ -163,8 +163,7 @@ impl Source for Record {
 pub(super) struct Live {
     path: PathBuf,
     entries: Entries,
-    start_ns: u64,
-    start_wall_ns: Option<u64>,
+    start: ClockMapping,
     missed: u64,
 }
 
@@ -174,16 +173,15 @@ impl Live {
         Ok(Self {
             path: path.to_owned(),
             entries: Entries::watch(path, chosen(kinds))?,
-            start_ns: monotonic_ns(),
-            start_wall_ns: wall_ns(),
+            start: now(),
             missed: 0,
         })
     }
 }
 
 impl Source for Live {
-    fn start_wall_ns(&self) -> Option<u64> {
-        self.start_wall_ns
+    fn start(&self) -> Option<ClockMapping> {
+        Some(self.start)
     }
 
     fn next(&mut self) -> Next<'_> {
@@ -191,7 +189,7 @@ impl Source for Live {
             match self.entries.next(Duration::ZERO) {
                 Ok(None) => return Ok(Poll::Pending),
                 Ok(Some(Heard::Entry(entry))) => {
-                    let time_ns = entry.time_ns().wrapping_sub(self.start_ns);
+                    let time_ns = entry.time_ns().wrapping_sub(self.start.monotonic_ns);
                     return Ok(Poll::Ready(Some(Row {
                         kind: entry.topic().index(),
                         time_ns: Some(time_ns.cast_signed()),
@@ -290,9 +288,12 @@ fn begins_as_mcap(path: &Path) -> bool {
 /// The longest time that a source waits for more.
 pub(super) const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Now, in ns since 1970; none if the wall clock is before that.
-pub(super) fn wall_ns() -> Option<u64> {
-    u64::try_from(Timestamp::now().as_nanosecond()).ok()
+/// The clocks as they are now.
+pub(super) fn now() -> ClockMapping {
+    ClockMapping {
+        monotonic_ns: monotonic_ns(),
+        wall_ns: u64::try_from(Timestamp::now().as_nanosecond()).unwrap_or(0),
+    }
 }
 
 /// A row, whose message is not yet read.
@@ -359,8 +360,8 @@ pub(super) struct Close {
 
 /// Gives rows, one after another.
 pub(super) trait Source {
-    /// When it starts, in ns since 1970 on the wall, if that is known.
-    fn start_wall_ns(&self) -> Option<u64>;
+    /// When it starts, if that is known.
+    fn start(&self) -> Option<ClockMapping>;
 
     /// The times of its first and its last row, in ns since its start, if they are known before it is
     /// read.
