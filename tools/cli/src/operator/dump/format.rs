@@ -36,7 +36,7 @@ pub(super) struct Printer<'a, W: Write> {
     kinds: &'a [Kind],
     /// The columns of each kind.
     columns: Vec<Vec<Column>>,
-    /// Whether the source writes its entries as JSON.
+    /// Whether a row writes itself as JSON, with all its fields.
     whole: bool,
     widths: Vec<usize>,
     /// What is printed and not yet handed over.
@@ -57,24 +57,24 @@ enum Column {
 
 impl<'a, W: Write> Printer<'a, W> {
     /// Prints the chosen of the `kinds`: the fields that are `wanted`, or those that the format
-    /// prints by itself if there are none. `entries`: whether the source has entries of a record,
-    /// which it writes as JSON itself.
+    /// prints by itself if there are none.
     pub(super) fn new(
         output: W,
         format: Format,
         kinds: &'a [Kind],
         wanted: &[String],
-        entries: bool,
     ) -> Result<Self, String> {
         for name in wanted {
             check_field(kinds, name)?;
         }
-        let json = format == Format::Json;
+        let shown = |kind: &'a Kind| match format {
+            Format::Table => kind.brief.as_slice(),
+            Format::Json | Format::Csv => kind.own_fields(),
+        };
         let chosen: Vec<_> = kinds.iter().filter(|kind| kind.chosen).collect();
         let several = chosen.len() != 1;
         let header: Vec<_> = match (chosen.as_slice(), wanted) {
-            ([only], []) if format == Format::Table => only.brief.clone(),
-            ([only], []) => only.own_fields().to_vec(),
+            ([only], []) => shown(only).to_vec(),
             ([_], wanted) => wanted.to_vec(),
             (_, []) => {
                 // Every frame has an offset and a length.
@@ -85,30 +85,20 @@ impl<'a, W: Write> Printer<'a, W> {
             }
             (_, wanted) => [&["topic".to_owned()], wanted].concat(),
         };
-        let column = |kind: &Kind, name: &str| match name {
+        let column = |kind: &'a Kind, name: &str| match name {
             "topic" if several => Column::Topic,
             "content" if several => {
-                let shown = match format {
-                    Format::Table => &kind.brief,
-                    Format::Json | Format::Csv => kind.own_fields(),
-                };
-                let content = shown.iter().filter(|name| !header.contains(name));
+                let content = shown(kind).iter().filter(|name| !header.contains(name));
                 Column::Content(content.filter_map(|name| kind.index(name)).collect())
             }
             name => Column::Field(kind.index(name)),
         };
-        let columns = |kind: &Kind| -> Vec<_> {
-            if json && wanted.is_empty() {
-                let names = kind.fields.last().into_iter().chain(kind.own_fields());
-                return names.map(|name| Column::Field(kind.index(name))).collect();
-            }
-            header.iter().map(|name| column(kind, name)).collect()
-        };
+        let columns = |kind: &'a Kind| header.iter().map(|name| column(kind, name)).collect();
         let mut printer = Self {
             output,
             format,
             kinds,
-            whole: entries && json && wanted.is_empty(),
+            whole: format == Format::Json && wanted.is_empty(),
             widths: header.iter().map(|name| name.len().max(8)).collect(),
             text: String::new(),
             cell: String::new(),
@@ -144,7 +134,7 @@ impl<'a, W: Write> Printer<'a, W> {
         let text = &mut self.text;
         let begin = text.len();
         match self.format {
-            _ if self.whole => row.message.write_json(text)?,
+            _ if self.whole => row.write_json(text)?,
             Format::Json => {
                 let fields = columns.iter().filter_map(|column| match *column {
                     Column::Field(Some(at)) => {
@@ -220,18 +210,17 @@ impl Column {
             Self::Topic => cell.push_str(kind.name),
             Self::Field(at) => push(value(values, *at), cell),
             Self::Content(fields) => {
-                let mut gap = "";
-                for at in fields {
-                    let (Some(name), Some(value)) = (kind.fields.get(*at), values.get(*at)) else {
+                let fields = fields.iter();
+                for (name, value) in
+                    fields.filter_map(|at| kind.fields.get(*at).zip(values.get(*at)))
+                {
+                    if *value == Value::Absent {
                         continue;
-                    };
-                    if !matches!(value, Value::Absent) {
-                        for part in [gap, name, "="] {
-                            cell.push_str(part);
-                        }
-                        push(value, cell);
-                        gap = " ";
                     }
+                    for part in [if cell.is_empty() { "" } else { " " }, name, "="] {
+                        cell.push_str(part);
+                    }
+                    push(value, cell);
                 }
             }
         }

@@ -23,118 +23,106 @@ const SHOWN_BYTES: usize = 64;
 /// A board whose clock went back by more than this has restarted.
 const RESTART_US: i32 = -1_000_000;
 
+/// Where a frame begins, in bytes from the start, and how many bytes it has, with the zero that ends
+/// it.
+type Extent = [u64; 2];
+
 /// What a stretch of bytes up to a zero holds.
 pub(super) struct Frame {
     /// The name of its kind.
-    name: &'static str,
+    pub(super) name: &'static str,
     pub(super) fields: Vec<(String, Value)>,
-    /// The message as a record has it, if it has any.
-    pub(super) entry: Option<Box<Entry>>,
-    /// Why it is no frame, in a word.
-    pub(super) broken: Option<&'static str>,
+    /// The message; if it is none, why, in a word.
+    pub(super) message: Result<ToHost, &'static str>,
 }
 
 impl Frame {
-    fn new<const N: usize>(name: &'static str, fields: [(&str, Value); N]) -> Self {
-        let fields = fields.map(|(name, value)| (name.to_owned(), value));
+    fn new(
+        name: &'static str,
+        [offset, length]: Extent,
+        message: Result<ToHost, &'static str>,
+    ) -> Self {
+        let extent = [("offset", offset), ("length", length)];
         Self {
             name,
-            fields: fields.into(),
-            entry: None,
-            broken: None,
+            fields: extent
+                .map(|(name, at)| (name.to_owned(), number(at)))
+                .into(),
+            message,
         }
     }
 
-    /// With its place as its first fields: where it begins, in bytes from the start, and how many bytes
-    /// it has, with the zero that ends it.
-    fn at(mut self, offset: u64, length: u64) -> Self {
-        let place = [("offset", offset), ("length", length)];
-        let place = place.map(|(name, value)| (name.to_owned(), Value::Unsigned(value)));
-        self.fields.splice(0..0, place);
+    fn with(mut self, name: &str, value: Value) -> Self {
+        self.fields.push((name.to_owned(), value));
         self
     }
 
     /// The row of a message of the board.
-    fn of(message: &ToHost) -> Self {
+    fn of(message: ToHost, extent: Extent) -> Self {
+        let named = |name| Self::new(name, extent, Ok(message));
         match message {
             ToHost::Hello(hello) => {
                 let version = hello.software_version.map(|part| part.to_string());
-                Self::new(
-                    "hello",
-                    [
-                        ("protocol_version", number(hello.protocol_version)),
-                        ("software_version", text(version.join("."))),
-                        ("nonce", number(hello.nonce)),
-                    ],
-                )
+                named("hello")
+                    .with("protocol_version", number(hello.protocol_version))
+                    .with("software_version", text(version.join(".")))
+                    .with("nonce", number(hello.nonce))
             }
-            ToHost::Telemetry(telemetry) => Self::of_entry(Entry::Telemetry(TelemetryRecord {
-                receive_time_ns: 0,
-                board_time_host_ns: 0,
-                imu_time_host_ns: None,
-                telemetry: *telemetry,
-            })),
-            ToHost::Status(status) => Self::of_entry(Entry::Status(StatusRecord {
-                receive_time_ns: 0,
-                status: *status,
-            })),
-            ToHost::Acknowledgement(answer) => Self::new(
-                "acknowledgement",
-                [
-                    ("request", text(answer.request.name())),
-                    ("sequence", number(answer.sequence.0)),
-                    ("configuration_hash", number(answer.configuration_hash)),
-                ],
-            ),
-            ToHost::Refusal(answer) => Self::new(
-                "refusal",
-                [
-                    ("request", text(answer.request.name())),
-                    ("sequence", number(answer.sequence.0)),
-                    ("reason", text(answer.reason.name())),
-                ],
-            ),
-            ToHost::Identity(identity) => {
-                Self::new("identity", [("car_id", number(identity.car_id))])
+            ToHost::Telemetry(telemetry) => {
+                named("telemetry").with_received(&Entry::Telemetry(TelemetryRecord {
+                    receive_time_ns: 0,
+                    board_time_host_ns: 0,
+                    imu_time_host_ns: None,
+                    telemetry,
+                }))
             }
+            ToHost::Status(status) => named("status").with_received(&Entry::Status(StatusRecord {
+                receive_time_ns: 0,
+                status,
+            })),
+            ToHost::Acknowledgement(answer) => named("acknowledgement")
+                .with("request", text(answer.request.name()))
+                .with("sequence", number(answer.sequence.0))
+                .with("configuration_hash", number(answer.configuration_hash)),
+            ToHost::Refusal(answer) => named("refusal")
+                .with("request", text(answer.request.name()))
+                .with("sequence", number(answer.sequence.0))
+                .with("reason", text(answer.reason.name())),
+            ToHost::Identity(identity) => named("identity").with("car_id", number(identity.car_id)),
         }
     }
 
-    /// With the fields that come over the line: all from the board's clock on. The host adds those
-    /// before.
-    fn of_entry(entry: Entry) -> Self {
-        let name = entry.topic().name();
+    /// With the fields of an entry that come over the line: all from the board's clock on. The host
+    /// adds those before.
+    fn with_received(mut self, entry: &Entry) -> Self {
         let fields = entry.topic().fields().into_iter().zip(entry.values());
-        let fields = fields.skip_while(|(name, _)| name != "board_time_us");
-        Self {
-            fields: fields.collect(),
-            entry: Some(Box::new(entry)),
-            ..Self::new(name, [])
-        }
+        self.fields
+            .extend(fields.skip_while(|(name, _)| name != "board_time_us"));
+        self
     }
 
     /// Bytes that are no frame: why, in a word and in a sentence, and the first of them.
-    fn broken(reason: &'static str, detail: impl Into<Cow<'static, str>>, bytes: &[u8]) -> Self {
+    fn broken(
+        reason: &'static str,
+        detail: impl Into<Cow<'static, str>>,
+        bytes: &[u8],
+        extent: Extent,
+    ) -> Self {
         let mut shown: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         if shown.len() == SHOWN_BYTES {
             shown.push("...".to_owned());
         }
-        let fields = [
-            ("reason", text(reason)),
-            ("detail", text(detail)),
-            ("bytes", text(shown.join(" "))),
-        ];
-        Self {
-            broken: Some(reason),
-            ..Self::new("broken", fields)
-        }
+        Self::new("broken", extent, Err(reason))
+            .with("reason", text(reason))
+            .with("detail", text(detail))
+            .with("bytes", text(shown.join(" ")))
     }
 
     /// The board's clock when it was made, if the message holds it: in µs, wrapping.
-    fn board_time_us(&self) -> Option<u32> {
-        match self.entry.as_deref()? {
-            Entry::Telemetry(record) => Some(record.telemetry.board_time_us),
-            Entry::Status(record) => Some(record.status.board_time_us),
+    const fn board_time_us(&self) -> Option<u32> {
+        match self.message {
+            Ok(ToHost::Telemetry(telemetry)) => Some(telemetry.board_time_us),
+            Ok(ToHost::Status(status)) => Some(status.board_time_us),
             _ => None,
         }
     }
@@ -159,20 +147,16 @@ pub(super) fn kinds() -> Vec<Kind> {
         packets.find_map(|packet| ToHost::decode(packet).ok())
     };
     let messages = (0..=u8::MAX).filter_map(example);
-    let frames = messages.map(|message| Frame::of(&message));
+    let frames = messages.map(|message| Frame::of(message, [0; 2]));
     let kind = |frame: Frame| {
-        let brief = match frame.entry.as_deref() {
-            Some(Entry::Telemetry(_)) => &format!("offset length board_time_us {TELEMETRY}"),
+        let brief = match frame.message {
+            Ok(ToHost::Telemetry(_)) => &format!("offset length board_time_us {TELEMETRY}"),
             _ => "",
         };
-        let Frame { name, fields, .. } = frame.at(0, 0);
-        Kind::new(
-            name,
-            fields.into_iter().map(|(name, _)| name).collect(),
-            brief,
-        )
+        let fields = frame.fields.into_iter().map(|(name, _)| name);
+        Kind::new(frame.name, fields.collect(), brief)
     };
-    let broken = Frame::broken("", "", &[]);
+    let broken = Frame::broken("", "", &[], [0; 2]);
     frames.chain([broken]).map(kind).collect()
 }
 
@@ -200,8 +184,8 @@ pub(super) struct Line<'a> {
     bytes: Vec<u8>,
     /// The version in the last greeting, if it is not ours.
     other_version: Option<u16>,
-    /// How many frames were whole.
-    whole: u64,
+    /// Whether a frame was whole.
+    any_whole: bool,
 }
 
 impl<'a> Line<'a> {
@@ -235,7 +219,7 @@ impl<'a> Line<'a> {
             begin: 0,
             bytes: Vec::new(),
             other_version: None,
-            whole: 0,
+            any_whole: false,
         })
     }
 
@@ -266,16 +250,24 @@ impl<'a> Line<'a> {
                 continue;
             }
             let frame = self.frame();
-            if let Some(found) = self.end_stretch(frame) {
-                return Some(found);
+            self.begin = self.taken;
+            self.bytes.clear();
+            if frame.is_some() {
+                return frame;
             }
         }
         if !self.ended || self.taken == self.begin {
             return None;
         }
         let detail = "the bytes end in the middle of a frame";
-        let frame = Frame::broken("unfinished", detail, &self.bytes);
-        self.end_stretch(Some(frame))
+        let frame = Frame::broken("unfinished", detail, &self.bytes, self.extent());
+        self.begin = self.taken;
+        Some(frame)
+    }
+
+    /// That of the stretch so far.
+    const fn extent(&self) -> Extent {
+        [self.begin, self.taken - self.begin]
     }
 
     /// What the stretch holds that a zero ends; none if it is empty.
@@ -302,7 +294,7 @@ impl<'a> Line<'a> {
                 );
                 ("version", detail)
             }
-            (Ok(Ok(message)), _) => return Some(Frame::of(&message)),
+            (Ok(Ok(message)), _) => return Some(Frame::of(message, self.extent())),
             (Ok(Err(error)), _) => {
                 let reason = match error {
                     DecodeError::UnknownType(_) => "unknown-type",
@@ -312,17 +304,7 @@ impl<'a> Line<'a> {
                 (reason, error.to_string())
             }
         };
-        Some(Frame::broken(reason, detail, &self.bytes))
-    }
-
-    /// Begins the next stretch after one that holds this.
-    fn end_stretch(&mut self, frame: Option<Frame>) -> Option<Frame> {
-        let (offset, length) = (self.begin, self.taken - self.begin);
-        self.begin = self.taken;
-        self.bytes.clear();
-        let frame = frame?;
-        self.whole += u64::from(frame.broken.is_none());
-        Some(frame.at(offset, length))
+        Some(Frame::broken(reason, detail, &self.bytes, self.extent()))
     }
 }
 
@@ -341,7 +323,7 @@ impl Source for Line<'_> {
             if !self.ended {
                 return Ok(Poll::Pending);
             }
-            if self.start.is_none() && self.whole == 0 {
+            if self.start.is_none() && !self.any_whole {
                 let Self { name, taken, .. } = self;
                 let why = format!(
                     "{name} holds no whole frame of the protocol in {taken} bytes: name a \
@@ -352,6 +334,7 @@ impl Source for Line<'_> {
             }
             return Ok(Poll::Ready(None));
         };
+        self.any_whole |= found.message.is_ok();
         let kind = self.kinds.iter().position(|kind| kind.name == found.name);
         Ok(Poll::Ready(Some(Row {
             kind: kind.unwrap_or_default(),

@@ -20,7 +20,7 @@ use format::Printer;
 use line::Line;
 use select::Filter;
 use singletrack_core::config::SerialSection;
-use singletrack_record::{Topic, Value};
+use singletrack_record::Topic;
 use source::{Kind, Live, Place, Record, Source};
 use stats::Stats;
 
@@ -209,7 +209,7 @@ fn print_or_count(
     // Mistakes on the command line are reported before anything is opened.
     let mut stats = Stats::new(kinds);
     let mut printer = (!counts)
-        .then(|| Printer::new(&mut output, format, kinds, &args.fields, of_record))
+        .then(|| Printer::new(&mut output, format, kinds, &args.fields))
         .transpose()?;
     // A port may reset its board when it is opened. A record says which times it has.
     if !matches!(place, Place::Record(_)) {
@@ -224,12 +224,11 @@ fn print_or_count(
     let source = source.as_mut();
     filter.range = select::range(args.from, args.to, source, &name)?;
     let end = args.duration.map(|duration| Instant::now() + duration);
-    let interrupt = if counts {
-        Interrupt::listen()?
-    } else {
-        // Ctrl-C ends the process, as it ends others.
-        Interrupt::default()
-    };
+    // Ctrl-C ends a process that prints, as it ends others.
+    let interrupt = counts
+        .then(Interrupt::listen)
+        .transpose()?
+        .unwrap_or_default();
     let is_over = || interrupt.is_raised() || end.is_some_and(|end| Instant::now() >= end);
     let pumped = pump(source, &mut printer, &mut stats, &filter, is_over);
     // The rows before a failure are printed as well.
@@ -281,9 +280,7 @@ fn pump<W: Write>(
             None => break,
         }
         if needs_values {
-            row.message.read_values(&mut values)?;
-            let time_s = row.time_ns.map(|ns| ns as f64 / 1e9);
-            values.push(time_s.map_or(Value::Absent, Value::Float));
+            row.read_values(&mut values)?;
         }
         if filter.accepts(row.kind, &values) {
             match printer {

@@ -14,7 +14,9 @@ use std::{
 
 use jiff::Timestamp;
 use singletrack_api::ClientError;
-use singletrack_record::{ClockMapping, Ending, Entry, Reader, Recorded, Topic, Value};
+use singletrack_record::{
+    ClockMapping, Ending, Entry, Reader, Recorded, Topic, Value, write_json_object,
+};
 use singletrackd::monotonic_ns;
 
 use super::{DumpArgs, DumpError, line::Frame};
@@ -317,26 +319,42 @@ pub(super) enum Message<'a> {
     Frame(Frame),
 }
 
-impl Message<'_> {
+impl Row<'_> {
+    /// When it reached the host, in seconds.
+    fn time(&self) -> Value {
+        let time_ns = self.time_ns.map(|ns| ns as f64 / 1e9);
+        time_ns.map_or(Value::Absent, Value::Float)
+    }
+
     /// Replaces `values` with its fields, in the order of its kind.
     pub(super) fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
-        match self {
-            Self::Recorded(reader) => reader.read_values(values)?,
-            Self::Entry(entry) => *values = entry.values(),
-            Self::Frame(frame) => {
-                values.clear();
-                values.extend(frame.fields.drain(..).map(|(_, value)| value));
+        match &mut self.message {
+            Message::Recorded(reader) => reader.read_values(values)?,
+            Message::Entry(entry) => *values = entry.values(),
+            Message::Frame(frame) => {
+                *values = frame
+                    .fields
+                    .iter()
+                    .map(|(_, value)| value.clone())
+                    .collect();
             }
         }
+        values.push(self.time());
         Ok(())
     }
 
-    /// Adds the entry to `json` as one object with all its fields. Frames have no such form.
+    /// Adds it to `json` as one object with all its fields: an entry as a record has it, a frame with
+    /// its time.
     pub(super) fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
-        match self {
-            Self::Recorded(reader) => reader.write_json(json)?,
-            Self::Entry(entry) => entry.write_json(json),
-            Self::Frame(_) => {}
+        let time = self.time();
+        match &mut self.message {
+            Message::Recorded(reader) => reader.write_json(json)?,
+            Message::Entry(entry) => entry.write_json(json),
+            Message::Frame(frame) => {
+                let fields = frame.fields.iter();
+                let fields = fields.map(|(name, value)| (name.as_str(), value));
+                write_json_object(json, frame.name, [(TIME, &time)].into_iter().chain(fields));
+            }
         }
         Ok(())
     }

@@ -1,11 +1,13 @@
 //! Statistics, also as a page for a person: rates, gaps, losses, errors, latencies, modes.
 
-use std::{collections::BTreeMap, fmt::Display};
+use std::collections::BTreeMap;
 
 use serde::Serialize;
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::Reason;
-use singletrack_protocol::{RefusalReason, Status, StopCause, TELEMETRY_PERIOD_US, Telemetry};
+use singletrack_protocol::{
+    RefusalReason, Status, StopCause, TELEMETRY_PERIOD_US, Telemetry, ToHost,
+};
 use singletrack_record::{Entry, TickRecord};
 use singletrack_statistics::{Arrivals, Distribution, Gap};
 
@@ -235,14 +237,12 @@ impl<'a> Stats<'a> {
                 reader.read_entry(|entry| self.add_entry(time_ns, entry))?;
             }
             Message::Entry(entry) => self.add_entry(time_ns, &entry),
-            Message::Frame(frame) => {
-                if let Some(entry) = &frame.entry {
-                    self.add_entry(time_ns, entry);
-                }
-                if let Some(reason) = frame.broken {
-                    count(&mut self.report.line.broken, reason.to_owned());
-                }
-            }
+            Message::Frame(frame) => match frame.message {
+                Ok(ToHost::Telemetry(telemetry)) => self.add_telemetry(time_ns, &telemetry),
+                Ok(ToHost::Status(status)) => self.add_status(&status),
+                Ok(_) => {}
+                Err(reason) => count(&mut self.report.line.broken, reason.to_owned()),
+            },
         }
         Ok(())
     }
@@ -507,15 +507,16 @@ impl Report {
     fn counters(&self) -> String {
         let mut text = String::new();
         if let Some(board) = &self.board {
-            let counted = counts([
-                ("frames received", &board.frames_received),
-                ("frames damaged", &board.frames_damaged),
-                ("drives refused", &board.drives_refused),
-                ("frames dropped", &board.frames_dropped),
-                ("bytes overrun", &board.bytes_overrun),
-                ("imu errors", &board.imu_errors),
-            ]);
-            text += &format!("\nthe board counted: {counted}");
+            text += &format!(
+                "\nthe board counted: {} frames received, {} frames damaged, {} drives refused, \
+                 {} frames dropped, {} bytes overrun, {} imu errors",
+                board.frames_received,
+                board.frames_damaged,
+                board.drives_refused,
+                board.frames_dropped,
+                board.bytes_overrun,
+                board.imu_errors
+            );
             if let Some(refusal) = board.last_refusal.filter(|_| board.drives_refused > 0) {
                 text += &format!(" (the last refusal: {refusal})");
             }
@@ -529,13 +530,13 @@ impl Report {
             }
         }
         if let Some(ticks) = &self.ticks {
-            let counted = counts([
-                ("skipped", &ticks.skipped),
-                ("events dropped", &ticks.events_dropped),
-                ("without a new pose", &ticks.without_new_pose),
-                ("commands not written", &ticks.commands_not_written),
-            ]);
-            text += &format!("\nticks: {counted}");
+            text += &format!(
+                "\nticks: {} skipped, {} events dropped, {} without a new pose, {} commands not written",
+                ticks.skipped,
+                ticks.events_dropped,
+                ticks.without_new_pose,
+                ticks.commands_not_written
+            );
         }
         let (dropped, missed) = (self.entries_dropped, self.missed);
         if self.ticks.is_some() || dropped > 0 {
@@ -549,12 +550,9 @@ impl Report {
     }
 }
 
-fn counts<'a, T: Display>(counts: impl IntoIterator<Item = (T, &'a u64)>) -> String {
-    let counts = counts.into_iter();
-    let counts: Vec<_> = counts
-        .map(|(what, count)| format!("{count} {what}"))
-        .collect();
-    match counts.as_slice() {
+fn counts(counts: &BTreeMap<String, u64>) -> String {
+    let counts = counts.iter().map(|(what, count)| format!("{count} {what}"));
+    match counts.collect::<Vec<_>>().as_slice() {
         [] => "none".to_owned(),
         counts => counts.join(", "),
     }
