@@ -33,9 +33,8 @@ pub enum Format {
 pub(super) struct Printer<'a, W: Write> {
     output: W,
     format: Format,
-    kinds: &'a [Kind],
     /// The columns of each kind.
-    columns: Vec<Vec<Column>>,
+    columns: Vec<(&'a Kind, Vec<Column>)>,
     /// Whether a row writes itself as JSON, with all its fields.
     whole: bool,
     widths: Vec<usize>,
@@ -93,11 +92,13 @@ impl<'a, W: Write> Printer<'a, W> {
             }
             name => Column::Field(kind.index(name)),
         };
-        let columns = |kind: &'a Kind| header.iter().map(|name| column(kind, name)).collect();
+        let columns = |kind: &'a Kind| {
+            let columns = header.iter().map(|name| column(kind, name));
+            (kind, columns.collect())
+        };
         let mut printer = Self {
             output,
             format,
-            kinds,
             whole: format == Format::Json && wanted.is_empty(),
             widths: header.iter().map(|name| name.len().max(8)).collect(),
             text: String::new(),
@@ -107,10 +108,14 @@ impl<'a, W: Write> Printer<'a, W> {
         let text = &mut printer.text;
         match format {
             Format::Table => {
-                let columns = printer.columns.first().into_iter().flatten();
+                let columns = printer
+                    .columns
+                    .iter()
+                    .take(1)
+                    .flat_map(|(_, columns)| columns);
                 let cells = header.iter().zip(columns).zip(&mut printer.widths);
                 for (index, ((name, column), width)) in cells.enumerate() {
-                    push_table_cell(text, name, index, column, width);
+                    push_cell(text, name, index, column, width);
                 }
                 text.push('\n');
             }
@@ -120,17 +125,18 @@ impl<'a, W: Write> Printer<'a, W> {
         Ok(printer)
     }
 
-    /// Whether it looks at the fields of a row.
-    pub(super) const fn needs_values(&self) -> bool {
-        !self.whole
-    }
-
-    /// Prints a row; `values` are its fields, if they are needed.
-    pub(super) fn print(&mut self, mut row: Row<'_>, values: &[Value]) -> Result<(), DumpError> {
-        let (Some(kind), Some(columns)) = (self.kinds.get(row.kind), self.columns.get(row.kind))
-        else {
+    /// Prints a row. Reads its `values` if they are needed and not yet read.
+    pub(super) fn print(
+        &mut self,
+        mut row: Row<'_>,
+        values: &mut Vec<Value>,
+    ) -> Result<(), DumpError> {
+        let Some((kind, columns)) = self.columns.get(row.kind) else {
             return Ok(());
         };
+        if !self.whole {
+            row.read_values(values)?;
+        }
         let text = &mut self.text;
         let begin = text.len();
         match self.format {
@@ -171,7 +177,7 @@ impl<'a, W: Write> Printer<'a, W> {
                 for (index, (column, width)) in columns {
                     self.cell.clear();
                     column.push_to(&mut self.cell, kind, values, push_for_person);
-                    push_table_cell(text, &self.cell, index, column, width);
+                    push_cell(text, &self.cell, index, column, width);
                 }
             }
         }
@@ -251,22 +257,16 @@ fn push_for_person(value: &Value, cell: &mut String) {
 }
 
 /// Adds a cell to a row of a table: right-aligned, but for the content at the end.
-fn push_table_cell(
-    text: &mut String,
-    cell: &str,
-    index: usize,
-    column: &Column,
-    width: &mut usize,
-) {
+fn push_cell(text: &mut String, cell: &str, index: usize, column: &Column, width: &mut usize) {
     if index > 0 {
         text.push_str("  ");
     }
-    if !matches!(column, Column::Content(_)) {
-        let length = cell.chars().count();
-        *width = (*width).max(length);
-        text.extend(std::iter::repeat_n(' ', *width - length));
+    if matches!(column, Column::Content(_)) {
+        text.push_str(cell);
+    } else {
+        *width = (*width).max(cell.chars().count());
+        text.push_str(&format!("{cell:>0$}", *width));
     }
-    text.push_str(cell);
 }
 
 /// Adds a text in quotes where RFC 4180 requires them. Not by `csv::Writer`, which takes 1.5 times

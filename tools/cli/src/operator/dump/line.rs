@@ -12,7 +12,7 @@ use singletrackd::{monotonic_ns, serial_port};
 
 use super::{
     DumpArgs, DumpError,
-    source::{Close, Kind, Message, Next, PATIENCE, Place, Row, Source, TELEMETRY, now},
+    source::{Kind, Message, Next, PATIENCE, Place, Row, Source, TELEMETRY, now},
 };
 use crate::operator::terminal::wait_to_read;
 
@@ -367,12 +367,12 @@ impl Source for Line<'_> {
         Ok(())
     }
 
-    fn close(&self) -> Close {
+    fn note(&self) -> Option<String> {
         let hung_up = self.ended && self.start.is_some();
-        Close {
-            note: hung_up.then(|| "the line hung up".to_owned()),
-            line_bytes: Some(self.taken),
-            ..Close::default()
-        }
+        hung_up.then(|| "the line hung up".to_owned())
+    }
+
+    fn line_bytes(&self) -> Option<u64> {
+        Some(self.taken)
     }
 }

@@ -232,11 +232,10 @@ fn print_or_count(
     let is_over = || interrupt.is_raised() || end.is_some_and(|end| Instant::now() >= end);
     let pumped = pump(source, &mut printer, &mut stats, &filter, is_over);
     // The rows before a failure are printed as well.
-    let close = source.close();
     if let Some(mut printer) = printer {
         printer.flush()?;
     } else {
-        let report = stats.report(&name, &close);
+        let report = stats.report(&name, source);
         let text = match format {
             Format::Json => serde_json::to_string_pretty(&report)?,
             Format::Table | Format::Csv => report.page(brief),
@@ -245,7 +244,7 @@ fn print_or_count(
         output.flush()?;
     }
     pumped?;
-    if let Some(note) = close.note {
+    if let Some(note) = source.note() {
         eprintln!("singletrack: {name}: {note}");
     }
     Ok(())
@@ -260,8 +259,6 @@ fn pump<W: Write>(
     filter: &Filter<'_>,
     is_over: impl Fn() -> bool,
 ) -> Result<(), DumpError> {
-    let prints_values = printer.as_ref().is_some_and(Printer::needs_values);
-    let needs_values = prints_values || filter.needs_values();
     let mut values = Vec::new();
     printer.as_mut().map_or(Ok(()), Printer::flush)?;
     while !is_over() {
@@ -279,12 +276,10 @@ fn pump<W: Write>(
             Some(false) => continue,
             None => break,
         }
-        if needs_values {
-            row.read_values(&mut values)?;
-        }
-        if filter.accepts(row.kind, &values) {
+        values.clear();
+        if filter.accepts(&mut row, &mut values)? {
             match printer {
-                Some(printer) => printer.print(row, &values)?,
+                Some(printer) => printer.print(row, &mut values)?,
                 None => stats.add(row)?,
             }
         }

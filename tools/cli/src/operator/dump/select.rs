@@ -1,22 +1,22 @@
 //! Topics, fields, conditions and times: what the command line chooses among the rows.
 
-use std::{cmp::Ordering, fmt, mem, ops::RangeInclusive, str::FromStr};
+use std::{cmp::Ordering, collections::BTreeSet, fmt, mem, ops::RangeInclusive, str::FromStr};
 
 use jiff::Timestamp;
 use singletrack_record::{Topic, Value};
 
-use super::source::{Kind, Row, Source, TIME};
+use super::{
+    DumpError,
+    source::{Kind, Row, Source, TIME},
+};
 
 /// Chooses the kinds with these names; all if there are no names.
 pub(super) fn choose(kinds: &mut [Kind], names: &[String]) -> Result<(), String> {
     let unknown = |name: &&String| !kinds.iter().any(|kind| kind.is_named(name));
     if let Some(name) = names.iter().find(unknown) {
         let known: Vec<_> = kinds.iter().map(|kind| kind.name).collect();
-        return Err(format!(
-            "there is no topic {name:?}{}: use {}",
-            near(name, &known),
-            known.join(", ")
-        ));
+        let topics = suggested(name, &known, ": use");
+        return Err(format!("there is no topic {topics}"));
     }
     for kind in kinds {
         kind.chosen = names.is_empty() || names.iter().any(|name| kind.is_named(name));
@@ -31,31 +31,23 @@ pub(super) fn check_field(kinds: &[Kind], name: &str) -> Result<(), String> {
         return Ok(());
     }
     let own = chosen.iter().flat_map(|kind| kind.own_fields());
-    let mut known = distinct(own.map(String::as_str));
-    known.push(TIME);
+    let own = own.map(String::as_str);
+    let mut seen = BTreeSet::new();
+    let known: Vec<_> = own
+        .chain([TIME])
+        .filter(|field| seen.insert(*field))
+        .collect();
     let topics: Vec<_> = chosen.iter().map(|kind| kind.name).collect();
-    Err(format!(
-        "{} has no field {name:?}{}; its fields are {}",
-        topics.join(", "),
-        near(name, &known),
-        known.join(", ")
-    ))
+    let fields = suggested(name, &known, "; its fields are");
+    Err(format!("{} has no field {fields}", topics.join(", ")))
 }
 
-/// Each once, where it comes first.
-fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
-    let mut distinct = Vec::new();
-    for item in items {
-        if !distinct.contains(&item) {
-            distinct.push(item);
-        }
-    }
-    distinct
-}
-
-/// A question for the name that was probably meant, if one is near.
-fn near(name: &str, known: &[&str]) -> String {
-    nearest(name, known).map_or_else(String::new, |name| format!(" (did you mean {name:?}?)"))
+/// The name, with a question for the one that was probably meant if one is near, and all known ones
+/// after these words.
+fn suggested(name: &str, known: &[&str], words: &str) -> String {
+    let near = nearest(name, known).map(|name| format!(" (did you mean {name:?}?)"));
+    let near = near.unwrap_or_default();
+    format!("{name:?}{near}{words} {}", known.join(", "))
 }
 
 /// The name that was probably meant: one that contains it, or one that differs by little, in whole
@@ -192,11 +184,11 @@ impl Condition {
         if ["", "none"].contains(&wanted.as_str()) || lists.iter().any(accepts) {
             return Ok(());
         }
-        let known = distinct(lists.into_iter().flatten());
-        Err(format!(
-            "{field} is never {wanted:?}; it is one of {}",
-            known.join(", ")
-        ))
+        let mut seen = BTreeSet::new();
+        let known = lists.concat().into_iter();
+        let known: Vec<_> = known.filter(|word| seen.insert(word.clone())).collect();
+        let known = known.join(", ");
+        Err(format!("{field} is never {wanted:?}; it is one of {known}"))
     }
 }
 
@@ -231,11 +223,6 @@ impl<'a> Filter<'a> {
         })
     }
 
-    /// Whether it needs the values of the fields.
-    pub(super) const fn needs_values(&self) -> bool {
-        !self.conditions.is_empty()
-    }
-
     /// Whether the row is of a chosen kind and within the range; none if no row after it is within the
     /// range. One without a time is within no range.
     pub(super) fn covers(&self, row: &Row<'_>) -> Option<bool> {
@@ -250,14 +237,21 @@ impl<'a> Filter<'a> {
         }
     }
 
-    /// Whether a row of this kind meets all conditions.
-    pub(super) fn accepts(&self, kind: usize, values: &[Value]) -> bool {
-        let Some(Some(places)) = self.places.get(kind) else {
-            return false;
+    /// Whether the row meets all conditions. Reads its values if there are any.
+    pub(super) fn accepts(
+        &self,
+        row: &mut Row<'_>,
+        values: &mut Vec<Value>,
+    ) -> Result<bool, DumpError> {
+        let Some(Some(places)) = self.places.get(row.kind) else {
+            return Ok(false);
         };
+        if !self.conditions.is_empty() {
+            row.read_values(values)?;
+        }
+        let value = |place: &usize| values.get(*place).unwrap_or(&Value::Absent);
         let mut conditions = self.conditions.iter().zip(places);
-        conditions
-            .all(|(condition, place)| condition.holds(values.get(*place).unwrap_or(&Value::Absent)))
+        Ok(conditions.all(|(condition, place)| condition.holds(value(place))))
     }
 }
 
@@ -297,7 +291,7 @@ impl fmt::Display for Moment {
             Self::WallNs(wall_ns) => {
                 // All that fits into 64 bits is within the calendar: 1677 to 2262.
                 let time = Timestamp::from_nanosecond(i128::from(*wall_ns));
-                write!(formatter, "{}", time.unwrap_or_default())
+                time.unwrap_or_default().fmt(formatter)
             }
         }
     }

@@ -119,10 +119,6 @@ impl Record {
         Ok(Self { reader, follow })
     }
 
-    fn is_unfinished(&self) -> bool {
-        matches!(self.reader.ending, Some(Ending::Unfinished { .. }))
-    }
-
     const fn since_start(&self, wall_ns: u64) -> i64 {
         let start = self.reader.meta.start;
         wall_ns.wrapping_sub(start.wall_ns).cast_signed()
@@ -151,13 +147,13 @@ impl Source for Record {
         })
     }
 
-    fn close(&self) -> Close {
+    fn is_unfinished(&self) -> bool {
+        matches!(self.reader.ending, Some(Ending::Unfinished { .. }))
+    }
+
+    fn note(&self) -> Option<String> {
         let ending = self.reader.ending.filter(|_| self.is_unfinished());
-        Close {
-            note: ending.map(|ending| ending.to_string()),
-            unfinished: ending.is_some(),
-            ..Close::default()
-        }
+        ending.map(|ending| ending.to_string())
     }
 }
 
@@ -212,17 +208,8 @@ impl Source for Live {
         }
     }
 
-    fn wait(&mut self) -> Result<(), DumpError> {
-        // Of a daemon, more comes soon.
-        thread::sleep(PATIENCE / 10);
-        Ok(())
-    }
-
-    fn close(&self) -> Close {
-        Close {
-            missed: self.missed,
-            ..Close::default()
-        }
+    fn missed(&self) -> u64 {
+        self.missed
     }
 }
 
@@ -326,9 +313,10 @@ impl Row<'_> {
         time_ns.map_or(Value::Absent, Value::Float)
     }
 
-    /// Replaces `values` with its fields, in the order of its kind.
+    /// Fills `values` with its fields, in the order of its kind, unless they are there.
     pub(super) fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
         match &mut self.message {
+            _ if !values.is_empty() => return Ok(()),
             Message::Recorded(reader) => reader.read_values(values)?,
             Message::Entry(entry) => *values = entry.values(),
             Message::Frame(frame) => {
@@ -363,19 +351,6 @@ impl Row<'_> {
 /// The next row of a source, nothing at its end, or nothing yet: [`Source::wait`] waits for more.
 pub(super) type Next<'a> = Result<Poll<Option<Row<'a>>>, DumpError>;
 
-/// How a source ended, with figures of the whole source.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Close {
-    /// A note for standard error.
-    pub(super) note: Option<String>,
-    /// Bytes that came over the line.
-    pub(super) line_bytes: Option<u64>,
-    /// Rows that the source could not hand over in time.
-    pub(super) missed: u64,
-    /// Whether a record has not been finished.
-    pub(super) unfinished: bool,
-}
-
 /// Gives rows, one after another.
 pub(super) trait Source {
     /// When it starts, if that is known.
@@ -392,10 +367,27 @@ pub(super) trait Source {
 
     /// Waits for more, but not for long.
     fn wait(&mut self) -> Result<(), DumpError> {
-        thread::sleep(PATIENCE);
+        thread::sleep(PATIENCE / 10);
         Ok(())
     }
 
-    /// How it ended.
-    fn close(&self) -> Close;
+    /// A note for standard error, of how it ended.
+    fn note(&self) -> Option<String> {
+        None
+    }
+
+    /// Bytes that came over the line.
+    fn line_bytes(&self) -> Option<u64> {
+        None
+    }
+
+    /// Rows that it could not hand over in time.
+    fn missed(&self) -> u64 {
+        0
+    }
+
+    /// Whether it is a record that has not been finished.
+    fn is_unfinished(&self) -> bool {
+        false
+    }
 }

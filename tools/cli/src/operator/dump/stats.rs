@@ -13,7 +13,7 @@ use singletrack_statistics::{Arrivals, Distribution, Gap};
 
 use super::{
     DumpError,
-    source::{Close, Kind, Message, Row},
+    source::{Kind, Message, Row, Source},
 };
 
 /// All statistics. Values that the source does not have are null or empty.
@@ -40,11 +40,9 @@ pub(super) struct Report {
     /// Entries that did not reach the record.
     pub(super) entries_dropped: u64,
     /// How late ticks began.
-    #[serde(rename = "lateness_us")]
-    pub(super) lateness: Option<Durations>,
+    pub(super) lateness_us: Option<Durations>,
     /// From mid-exposure to the command leaving, in ticks with a new pose.
-    #[serde(rename = "capture_to_command_us")]
-    pub(super) capture_to_command: Option<Durations>,
+    pub(super) capture_to_command_us: Option<Durations>,
     /// The pilot's modes.
     pub(super) modes: Vec<ModeSpan>,
     /// The modes of the board's safety machine.
@@ -358,18 +356,18 @@ impl<'a> Stats<'a> {
     }
 
     /// All that has been counted.
-    pub(super) fn report(&self, source: &str, close: &Close) -> Report {
+    pub(super) fn report(&self, name: &str, source: &dyn Source) -> Report {
         let span_s = self
             .span_ns
             .map_or(0.0, |[first, last]| seconds(last - first));
         let last_ns = self.span_ns.map_or(0, |[_, last]| last);
         let mut report = Report {
-            source: source.to_owned(),
-            unfinished: close.unfinished,
-            missed: close.missed,
+            source: name.to_owned(),
+            unfinished: source.is_unfinished(),
+            missed: source.missed(),
             span_s,
-            lateness: Durations::of(&self.lateness_us),
-            capture_to_command: Durations::of(&self.capture_to_command_us),
+            lateness_us: Durations::of(&self.lateness_us),
+            capture_to_command_us: Durations::of(&self.capture_to_command_us),
             modes: spans(&self.modes, last_ns),
             board_modes: spans(&self.board_modes, last_ns),
             ..self.report.clone()
@@ -387,9 +385,9 @@ impl<'a> Stats<'a> {
                 longest_gap_at_s,
             });
         }
-        report.line.bytes = close.line_bytes;
+        report.line.bytes = source.line_bytes();
         let rate = |bytes: u64| (span_s > 0.0).then(|| bytes as f64 / span_s);
-        report.line.bytes_per_s = close.line_bytes.and_then(rate);
+        report.line.bytes_per_s = report.line.bytes.and_then(rate);
         report
     }
 }
@@ -451,9 +449,9 @@ impl Report {
         page += &self.line();
         page += &self.counters();
         if !brief {
-            page += &distribution("lateness of ticks, in us", self.lateness.as_ref());
+            page += &distribution("lateness of ticks, in us", self.lateness_us.as_ref());
             let title = "from mid-exposure to the command leaving, in us (ticks with a new pose)";
-            page += &distribution(title, self.capture_to_command.as_ref());
+            page += &distribution(title, self.capture_to_command_us.as_ref());
         }
         page += &modes("modes", &self.modes);
         page += &modes("modes of the board", &self.board_modes);
