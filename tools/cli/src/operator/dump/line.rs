@@ -277,32 +277,27 @@ impl<'a> Line<'a> {
             let version = hello.protocol_version;
             self.other_version = (version != VERSION).then_some(version);
         }
-        let (reason, detail) = match (message, self.other_version) {
-            (Err(error), _) => {
-                let reason = match error {
-                    FrameError::Truncated => "truncated",
-                    FrameError::TooLong => "too-long",
-                    FrameError::TooShort(_) => "too-short",
-                    FrameError::CheckSum => "check-sum",
-                };
-                (reason, error.to_string())
+        let reason = match (&message, self.other_version) {
+            (Ok(Ok(message @ ToHost::Hello(_))), _) | (Ok(Ok(message)), None) => {
+                return Some(Frame::of(*message, self.extent()));
             }
+            (Err(FrameError::Truncated), _) => "truncated",
+            (Err(FrameError::TooLong), _) => "too-long",
+            (Err(FrameError::TooShort(_)), _) => "too-short",
+            (Err(FrameError::CheckSum), _) => "check-sum",
             // Nothing but another greeting is believed, even if it looks well.
-            (Ok(message), Some(version)) if !matches!(message, Ok(ToHost::Hello(_))) => {
-                let detail = format!(
-                    "the sender speaks version {version} of the protocol, this program version {VERSION}: use the singletrack of its release"
-                );
-                ("version", detail)
-            }
-            (Ok(Ok(message)), _) => return Some(Frame::of(message, self.extent())),
-            (Ok(Err(error)), _) => {
-                let reason = match error {
-                    DecodeError::UnknownType(_) => "unknown-type",
-                    DecodeError::Length { .. } => "payload-length",
-                    DecodeError::Value { .. } => "payload-value",
-                };
-                (reason, error.to_string())
-            }
+            (Ok(_), Some(_)) => "version",
+            (Ok(Err(DecodeError::UnknownType(_))), None) => "unknown-type",
+            (Ok(Err(DecodeError::Length { .. })), None) => "payload-length",
+            (Ok(Err(DecodeError::Value { .. })), None) => "payload-value",
+        };
+        let detail = match (message, self.other_version) {
+            (Err(error), _) => error.to_string(),
+            (Ok(Err(error)), None) => error.to_string(),
+            (Ok(_), version) => format!(
+                "the sender speaks version {} of the protocol, this program version {VERSION}: use the singletrack of its release",
+                version.unwrap_or_default()
+            ),
         };
         Some(Frame::broken(reason, detail, &self.bytes, self.extent()))
     }

@@ -213,7 +213,7 @@ fn print_or_count(
         .transpose()?;
     // A port may reset its board when it is opened. A record says which times it has.
     if !matches!(place, Place::Record(_)) {
-        select::check_order(args.from, args.to)?;
+        select::check_order(args)?;
     }
     let mut filter = Filter::new(kinds, &args.conditions)?;
     let mut source: Box<dyn Source + '_> = match &place {
@@ -222,7 +222,7 @@ fn print_or_count(
         line => Box::new(Line::open(line, args, kinds)?),
     };
     let source = source.as_mut();
-    filter.range = select::range(args.from, args.to, source, &name)?;
+    filter.range = select::range(args, source, &name)?;
     let end = args.duration.map(|duration| Instant::now() + duration);
     // Ctrl-C ends a process that prints, as it ends others.
     let interrupt = counts

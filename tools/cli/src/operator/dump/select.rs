@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use singletrack_record::{Topic, Value};
 
 use super::{
-    DumpError,
+    DumpArgs, DumpError,
     source::{Kind, Row, Source, TIME},
 };
 
@@ -192,14 +192,17 @@ impl Condition {
     }
 }
 
+/// From the first to the last time, in ns since the start.
+type Range = RangeInclusive<i64>;
+
 /// All conditions, and for each kind the places of their fields.
 pub(super) struct Filter<'a> {
     kinds: &'a [Kind],
     conditions: &'a [Condition],
     /// None for a kind without one of the fields: its rows are left out.
     places: Vec<Option<Vec<usize>>>,
-    /// From the first to the last time, in ns since the start.
-    pub(super) range: Option<RangeInclusive<i64>>,
+    /// Whose rows are taken; all if there is none.
+    pub(super) range: Option<Range>,
 }
 
 /// Rows are in order of time but for less than this.
@@ -338,8 +341,8 @@ fn span_text(start_wall_ns: u64, span_ns: [i64; 2]) -> String {
 }
 
 /// Refuses a range that ends before it begins, as far as that is known without the source.
-pub(super) fn check_order(from: Option<Moment>, to: Option<Moment>) -> Result<(), String> {
-    match from.zip(to) {
+pub(super) fn check_order(args: &DumpArgs) -> Result<(), String> {
+    match args.from.zip(args.to) {
         Some((from, to)) if from.is_after(to) => Err(backwards(from, to, "")),
         _ => Ok(()),
     }
@@ -348,11 +351,11 @@ pub(super) fn check_order(from: Option<Moment>, to: Option<Moment>) -> Result<()
 /// The range in ns since the start of the source; none if neither end is given. One without an entry
 /// of the source is refused.
 pub(super) fn range(
-    from: Option<Moment>,
-    to: Option<Moment>,
+    args: &DumpArgs,
     source: &dyn Source,
     name: &str,
-) -> Result<Option<RangeInclusive<i64>>, String> {
+) -> Result<Option<Range>, String> {
+    let (from, to) = (args.from, args.to);
     let (start_wall_ns, span_ns) = (source.start().map(|start| start.wall_ns), source.span_ns());
     let since = |option: &str, moment: Option<Moment>| match moment {
         None => Ok(None),

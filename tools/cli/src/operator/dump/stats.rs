@@ -357,10 +357,8 @@ impl<'a> Stats<'a> {
 
     /// All that has been counted.
     pub(super) fn report(&self, name: &str, source: &dyn Source) -> Report {
-        let span_s = self
-            .span_ns
-            .map_or(0.0, |[first, last]| seconds(last - first));
-        let last_ns = self.span_ns.map_or(0, |[_, last]| last);
+        let [first_ns, last_ns] = self.span_ns.unwrap_or_default();
+        let span_s = seconds(last_ns - first_ns);
         let mut report = Report {
             source: name.to_owned(),
             unfinished: source.is_unfinished(),
