@@ -34,7 +34,7 @@ pub(super) struct Printer<'a, W: Write> {
     output: W,
     format: Format,
     /// The columns of each kind.
-    columns: Vec<(&'a Kind, Vec<Column>)>,
+    columns: Vec<(&'a Kind, Vec<Column<'a>>)>,
     /// Whether a row writes itself as JSON, with all its fields.
     whole: bool,
     widths: Vec<usize>,
@@ -45,13 +45,13 @@ pub(super) struct Printer<'a, W: Write> {
 }
 
 /// What stands in a column.
-enum Column {
+enum Column<'a> {
     /// The name of the row's kind.
-    Topic,
-    /// The field with this index, if the kind has it.
-    Field(Option<usize>),
+    Topic(&'a str),
+    /// The field with this name and index, if the kind has it.
+    Field(Option<(&'a str, usize)>),
     /// Fields, each with its name.
-    Content(Vec<usize>),
+    Content(Vec<(&'a str, usize)>),
 }
 
 impl<'a, W: Write> Printer<'a, W> {
@@ -85,12 +85,12 @@ impl<'a, W: Write> Printer<'a, W> {
             (_, wanted) => [&["topic".to_owned()], wanted].concat(),
         };
         let column = |kind: &'a Kind, name: &str| match name {
-            "topic" if several => Column::Topic,
+            "topic" if several => Column::Topic(kind.name),
             "content" if several => {
                 let content = shown(kind).iter().filter(|name| !header.contains(name));
-                Column::Content(content.filter_map(|name| kind.index(name)).collect())
+                Column::Content(content.filter_map(|name| kind.field(name)).collect())
             }
-            name => Column::Field(kind.index(name)),
+            name => Column::Field(kind.field(name)),
         };
         let columns = |kind: &'a Kind| {
             let columns = header.iter().map(|name| column(kind, name));
@@ -108,11 +108,8 @@ impl<'a, W: Write> Printer<'a, W> {
         let text = &mut printer.text;
         match format {
             Format::Table => {
-                let columns = printer
-                    .columns
-                    .iter()
-                    .take(1)
-                    .flat_map(|(_, columns)| columns);
+                let first = printer.columns.first().into_iter();
+                let columns = first.flat_map(|(_, columns)| columns);
                 let cells = header.iter().zip(columns).zip(&mut printer.widths);
                 for (index, ((name, column), width)) in cells.enumerate() {
                     push_cell(text, name, index, column, width);
@@ -143,9 +140,7 @@ impl<'a, W: Write> Printer<'a, W> {
             _ if self.whole => row.write_json(text)?,
             Format::Json => {
                 let fields = columns.iter().filter_map(|column| match *column {
-                    Column::Field(Some(at)) => {
-                        Some((kind.fields.get(at)?.as_str(), values.get(at)?))
-                    }
+                    Column::Field(Some((name, at))) => Some((name, values.get(at)?)),
                     _ => None,
                 });
                 write_json_object(text, kind.name, fields);
@@ -162,7 +157,7 @@ impl<'a, W: Write> Printer<'a, W> {
                         },
                         column => {
                             self.cell.clear();
-                            column.push_to(&mut self.cell, kind, values, Value::push_to);
+                            column.push_to(&mut self.cell, values, Value::push_to);
                             push_csv_text(text, &self.cell);
                         }
                     }
@@ -176,7 +171,7 @@ impl<'a, W: Write> Printer<'a, W> {
                 let columns = columns.iter().zip(&mut self.widths).enumerate();
                 for (index, (column, width)) in columns {
                     self.cell.clear();
-                    column.push_to(&mut self.cell, kind, values, push_for_person);
+                    column.push_to(&mut self.cell, values, push_for_person);
                     push_cell(text, &self.cell, index, column, width);
                 }
             }
@@ -203,27 +198,20 @@ impl<'a, W: Write> Printer<'a, W> {
     }
 }
 
-impl Column {
-    /// Adds its cell in a row of this kind with these values, each as `push` writes it.
-    fn push_to(
-        &self,
-        cell: &mut String,
-        kind: &Kind,
-        values: &[Value],
-        push: impl Fn(&Value, &mut String),
-    ) {
+impl Column<'_> {
+    /// Adds its cell in a row with these values, each as `push` writes it.
+    fn push_to(&self, cell: &mut String, values: &[Value], push: impl Fn(&Value, &mut String)) {
         match self {
-            Self::Topic => cell.push_str(kind.name),
-            Self::Field(at) => push(value(values, *at), cell),
+            Self::Topic(name) => cell.push_str(name),
+            Self::Field(field) => push(value(values, *field), cell),
             Self::Content(fields) => {
-                let fields = fields.iter();
-                for (name, value) in
-                    fields.filter_map(|at| kind.fields.get(*at).zip(values.get(*at)))
-                {
+                for field in fields {
+                    let value = value(values, Some(*field));
                     if *value == Value::Absent {
                         continue;
                     }
-                    for part in [if cell.is_empty() { "" } else { " " }, name, "="] {
+                    let gap = if cell.is_empty() { "" } else { " " };
+                    for part in [gap, field.0, "="] {
                         cell.push_str(part);
                     }
                     push(value, cell);
@@ -233,9 +221,10 @@ impl Column {
     }
 }
 
-/// The value of the field with this index, if the kind has it.
-fn value(values: &[Value], at: Option<usize>) -> &Value {
-    at.and_then(|at| values.get(at)).unwrap_or(&Value::Absent)
+/// The value of a field, if the kind has it.
+fn value<'a>(values: &'a [Value], field: Option<(&str, usize)>) -> &'a Value {
+    let value = field.and_then(|(_, at)| values.get(at));
+    value.unwrap_or(&Value::Absent)
 }
 
 /// Adds a value as a person reads it.
@@ -257,7 +246,7 @@ fn push_for_person(value: &Value, cell: &mut String) {
 }
 
 /// Adds a cell to a row of a table: right-aligned, but for the content at the end.
-fn push_cell(text: &mut String, cell: &str, index: usize, column: &Column, width: &mut usize) {
+fn push_cell(text: &mut String, cell: &str, index: usize, column: &Column<'_>, width: &mut usize) {
     if index > 0 {
         text.push_str("  ");
     }

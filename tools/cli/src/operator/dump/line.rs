@@ -1,7 +1,7 @@
 //! Frames on the line itself, whole and broken ones: from a serial port, or from a capture of its
 //! bytes.
 
-use std::{borrow::Cow, fs::File, io, os::fd::AsFd, task::Poll, thread, vec};
+use std::{borrow::Cow, fs::File, io, os::fd::AsFd, task::Poll, thread, time::Duration, vec};
 
 use rustix::io::Errno;
 use singletrack_protocol::{
@@ -12,12 +12,14 @@ use singletrackd::{monotonic_ns, serial_port};
 
 use super::{
     DumpArgs, DumpError,
-    source::{Kind, Message, Next, PATIENCE, Place, Row, Source, TELEMETRY, now},
+    source::{Kind, Message, Next, Place, Row, Source, TELEMETRY, now},
 };
 use crate::operator::terminal::wait_to_read;
 
 /// How much is read at once.
 const READ_LENGTH: usize = 64 << 10;
+/// The longest wait for bytes.
+const PATIENCE: Duration = Duration::from_millis(100);
 /// No more bytes than this of something broken are shown.
 const SHOWN_BYTES: usize = 64;
 /// A board whose clock went back by more than this has restarted.
@@ -197,12 +199,11 @@ impl<'a> Line<'a> {
         kinds: &'a [Kind],
     ) -> Result<Self, DumpError> {
         let name = place.to_string();
+        let failed = |error: io::Error| unreadable(&name, &error);
         let input: Box<dyn AsFd> = match place {
             // The half that writes is closed unused.
             Place::Serial(path) => Box::new(serial_port::open(path, args.baud)?.0),
-            Place::Raw(path) => {
-                Box::new(File::open(path).map_err(|error| unreadable(&name, &error))?)
-            }
+            Place::Raw(path) => Box::new(File::open(path).map_err(failed)?),
             _ => Box::new(io::stdin()),
         };
         Ok(Self {

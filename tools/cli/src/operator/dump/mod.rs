@@ -162,13 +162,11 @@ pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
     } else {
         Format::Csv
     });
-    let Err(error) = print_or_count(args, format, brief, stdout.lock()) else {
-        return Ok(());
-    };
-    match *error.downcast::<io::Error>()? {
+    let printed = print_or_count(args, format, brief, stdout.lock());
+    printed.or_else(|error| match *error.downcast::<io::Error>()? {
         error if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         error => Err(format!("can't write to standard output: {error}").into()),
-    }
+    })
 }
 
 /// Prints what is asked for to `output`.

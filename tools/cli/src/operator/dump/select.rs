@@ -331,7 +331,7 @@ fn wall_ns(text: &str) -> Option<i64> {
 }
 
 /// The times of the first and the last row in seconds, and the same times on the wall.
-fn span_text(start_wall_ns: u64, span_ns: [i64; 2]) -> String {
+fn span_text((start_wall_ns, span_ns): (u64, [i64; 2])) -> String {
     let start_ns = i64::try_from(start_wall_ns).unwrap_or(i64::MAX);
     // To a millisecond, as the seconds.
     let wall = |ns| Moment::WallNs(start_ns.saturating_add(ns) / 1_000_000 * 1_000_000);
@@ -364,10 +364,8 @@ pub(super) fn range(
         }),
     };
     let (from_ns, to_ns) = (since("from", from)?, since("to", to)?);
-    let span = start_wall_ns.zip(span_ns);
-    let span = span.map_or_else(String::new, |(start_ns, span_ns)| {
-        span_text(start_ns, span_ns)
-    });
+    let span = start_wall_ns.zip(span_ns).map(span_text);
+    let span = span.unwrap_or_default();
     // One may be a date and the other a number of seconds.
     if let Some((from, to)) = from.zip(to)
         && from_ns > to_ns
@@ -377,10 +375,8 @@ pub(super) fn range(
         return Err(backwards(from, to, of_record));
     }
     let [first_ns, last_ns] = span_ns.unwrap_or([i64::MIN, i64::MAX]);
-    let (late, early) = (
-        from_ns > Some(last_ns),
-        to_ns.is_some_and(|ns| ns < first_ns),
-    );
+    let late = from_ns > Some(last_ns);
+    let early = to_ns.is_some_and(|ns| ns < first_ns);
     for (option, moment, is_outside) in [("from", from, late), ("to", to, early)] {
         if let Some(moment) = moment.filter(|_| is_outside) {
             return Err(format!(

@@ -88,6 +88,12 @@ impl Kind {
         self.fields.iter().position(|field| field == name)
     }
 
+    /// The name of this field, as long as the kind, and its index.
+    pub(super) fn field(&self, name: &str) -> Option<(&str, usize)> {
+        let at = self.index(name)?;
+        Some((self.fields.get(at)?, at))
+    }
+
     /// The fields from the message, without [`TIME`].
     pub(super) fn own_fields(&self) -> &[String] {
         self.fields.split_last().map_or(&[], |(_, own)| own)
@@ -274,8 +280,8 @@ fn begins_as_mcap(path: &Path) -> bool {
     read.is_ok() && magic == MCAP_MAGIC
 }
 
-/// The longest time that a source waits for more.
-pub(super) const PATIENCE: Duration = Duration::from_millis(100);
+/// Time between two looks at a record that grows, or at what the daemon sends.
+const LOOK: Duration = Duration::from_millis(10);
 
 /// The clocks as they are now.
 pub(super) fn now() -> ClockMapping {
@@ -320,11 +326,8 @@ impl Row<'_> {
             Message::Recorded(reader) => reader.read_values(values)?,
             Message::Entry(entry) => *values = entry.values(),
             Message::Frame(frame) => {
-                *values = frame
-                    .fields
-                    .iter()
-                    .map(|(_, value)| value.clone())
-                    .collect();
+                let fields = frame.fields.iter();
+                *values = fields.map(|(_, value)| value.clone()).collect();
             }
         }
         values.push(self.time());
@@ -367,7 +370,7 @@ pub(super) trait Source {
 
     /// Waits for more, but not for long.
     fn wait(&mut self) -> Result<(), DumpError> {
-        thread::sleep(PATIENCE / 10);
+        thread::sleep(LOOK);
         Ok(())
     }
 
