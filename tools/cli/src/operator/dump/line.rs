@@ -29,32 +29,35 @@ const RESTART_US: i32 = -1_000_000;
 /// it.
 type Extent = [u64; 2];
 
+/// A message, or in a word why there is none.
+type Found = Result<ToHost, &'static str>;
+
 /// What a stretch of bytes up to a zero holds.
 pub(super) struct Frame {
     /// The name of its kind.
     pub(super) name: &'static str,
     pub(super) fields: Vec<(String, Value)>,
-    /// The message; if it is none, why, in a word.
-    pub(super) message: Result<ToHost, &'static str>,
+    pub(super) message: Found,
 }
 
 impl Frame {
-    fn new(
-        name: &'static str,
-        [offset, length]: Extent,
-        message: Result<ToHost, &'static str>,
-    ) -> Self {
-        let extent = [("offset", offset), ("length", length)];
-        Self {
+    fn new(name: &'static str, [offset, length]: Extent, message: Found) -> Self {
+        let frame = Self {
             name,
-            fields: extent
-                .map(|(name, at)| (name.to_owned(), number(at)))
-                .into(),
+            fields: Vec::new(),
             message,
-        }
+        };
+        frame.number("offset", offset).number("length", length)
     }
 
-    fn with(mut self, name: &str, value: Value) -> Self {
+    fn number(mut self, name: &str, number: impl Into<u64>) -> Self {
+        let value = Value::Unsigned(number.into());
+        self.fields.push((name.to_owned(), value));
+        self
+    }
+
+    fn text(mut self, name: &str, text: impl Into<Cow<'static, str>>) -> Self {
+        let value = Value::Text(text.into());
         self.fields.push((name.to_owned(), value));
         self
     }
@@ -66,9 +69,9 @@ impl Frame {
             ToHost::Hello(hello) => {
                 let version = hello.software_version.map(|part| part.to_string());
                 named("hello")
-                    .with("protocol_version", number(hello.protocol_version))
-                    .with("software_version", text(version.join(".")))
-                    .with("nonce", number(hello.nonce))
+                    .number("protocol_version", hello.protocol_version)
+                    .text("software_version", version.join("."))
+                    .number("nonce", hello.nonce)
             }
             ToHost::Telemetry(telemetry) => {
                 named("telemetry").with_received(&Entry::Telemetry(TelemetryRecord {
@@ -83,14 +86,14 @@ impl Frame {
                 status,
             })),
             ToHost::Acknowledgement(answer) => named("acknowledgement")
-                .with("request", text(answer.request.name()))
-                .with("sequence", number(answer.sequence.0))
-                .with("configuration_hash", number(answer.configuration_hash)),
+                .text("request", answer.request.name())
+                .number("sequence", answer.sequence.0)
+                .number("configuration_hash", answer.configuration_hash),
             ToHost::Refusal(answer) => named("refusal")
-                .with("request", text(answer.request.name()))
-                .with("sequence", number(answer.sequence.0))
-                .with("reason", text(answer.reason.name())),
-            ToHost::Identity(identity) => named("identity").with("car_id", number(identity.car_id)),
+                .text("request", answer.request.name())
+                .number("sequence", answer.sequence.0)
+                .text("reason", answer.reason.name()),
+            ToHost::Identity(identity) => named("identity").number("car_id", identity.car_id),
         }
     }
 
@@ -104,38 +107,16 @@ impl Frame {
     }
 
     /// Bytes that are no frame: why, in a word and in a sentence, and the first of them.
-    fn broken(
-        reason: &'static str,
-        detail: impl Into<Cow<'static, str>>,
-        bytes: &[u8],
-        extent: Extent,
-    ) -> Self {
+    fn broken(reason: &'static str, detail: &str, bytes: &[u8], extent: Extent) -> Self {
         let mut shown: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         if shown.len() == SHOWN_BYTES {
             shown.push("...".to_owned());
         }
         Self::new("broken", extent, Err(reason))
-            .with("reason", text(reason))
-            .with("detail", text(detail))
-            .with("bytes", text(shown.join(" ")))
+            .text("reason", reason)
+            .text("detail", detail.to_owned())
+            .text("bytes", shown.join(" "))
     }
-
-    /// The board's clock when it was made, if the message holds it: in µs, wrapping.
-    const fn board_time_us(&self) -> Option<u32> {
-        match self.message {
-            Ok(ToHost::Telemetry(telemetry)) => Some(telemetry.board_time_us),
-            Ok(ToHost::Status(status)) => Some(status.board_time_us),
-            _ => None,
-        }
-    }
-}
-
-fn number(number: impl Into<u64>) -> Value {
-    Value::Unsigned(number.into())
-}
-
-fn text(text: impl Into<Cow<'static, str>>) -> Value {
-    Value::Text(text.into())
 }
 
 /// The kinds of frames, by their type bytes, then what is broken. Every one has an offset and a
@@ -229,7 +210,13 @@ impl<'a> Line<'a> {
         if let Some(start) = self.start {
             return i64::try_from(monotonic_ns() - start.monotonic_ns).ok();
         }
-        if let Some(board_us) = frame.board_time_us() {
+        // Wrapping.
+        let board_us = match frame.message {
+            Ok(ToHost::Telemetry(telemetry)) => Some(telemetry.board_time_us),
+            Ok(ToHost::Status(status)) => Some(status.board_time_us),
+            _ => None,
+        };
+        if let Some(board_us) = board_us {
             let (before_us, since_us) = self.board.unwrap_or((board_us, 0));
             let passed = board_us.wrapping_sub(before_us).cast_signed();
             // A restarted clock goes on from where the last one stopped.
@@ -300,7 +287,7 @@ impl<'a> Line<'a> {
                 version.unwrap_or_default()
             ),
         };
-        Some(Frame::broken(reason, detail, &self.bytes, self.extent()))
+        Some(Frame::broken(reason, &detail, &self.bytes, self.extent()))
     }
 }
 
