@@ -193,7 +193,7 @@ fn dumps(criterion: &mut Criterion) {
             "ticks, three fields of few, csv",
             &[
                 "--topic=tick",
-                "--fields=index,mode,lateness_ns",
+                "--fields=tick,mode,lateness_ns",
                 "--where=lateness_ns>60900",
             ],
             Format::Csv,
