@@ -86,11 +86,10 @@ fn words(topic: &str, field: &str) -> Vec<String> {
         }
     }
     let first = constants.first().copied().unwrap_or_default();
-    let mut beginnings = first
-        .match_indices('_')
-        .filter_map(|(at, _)| first.get(..=at));
+    let ends = first.rmatch_indices('_');
+    let mut beginnings = ends.filter_map(|(at, _)| first.get(..=at));
     let shared = |beginning: &&str| constants.iter().all(|name| name.starts_with(beginning));
-    let prefix = beginnings.rfind(shared).unwrap_or_default();
+    let prefix = beginnings.find(shared).unwrap_or_default();
     let word = |name: &&str| name.strip_prefix(prefix).unwrap_or(name).to_lowercase();
     let words = constants.iter().map(word);
     words.map(|word| word.replace('_', "-")).collect()

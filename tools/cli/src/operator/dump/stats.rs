@@ -192,9 +192,8 @@ type Change = (i64, (&'static str, Option<&'static str>));
 /// Counts the rows of the chosen kinds.
 #[derive(Default)]
 pub(super) struct Stats<'a> {
-    kinds: &'a [Kind],
     /// The arrivals of each kind.
-    arrivals: Vec<Arrivals>,
+    arrivals: Vec<(&'a Kind, Arrivals)>,
     /// The first and the last time.
     span_ns: Option<[i64; 2]>,
     /// When the last telemetry came, and the board's clock in it.
@@ -213,9 +212,9 @@ pub(super) struct Stats<'a> {
 
 impl<'a> Stats<'a> {
     pub(super) fn new(kinds: &'a [Kind]) -> Self {
+        let arrivals = kinds.iter().map(|kind| (kind, Arrivals::default()));
         Self {
-            kinds,
-            arrivals: vec![Arrivals::default(); kinds.len()],
+            arrivals: arrivals.collect(),
             ..Self::default()
         }
     }
@@ -226,7 +225,7 @@ impl<'a> Stats<'a> {
             let [first_ns, last_ns] = self.span_ns.unwrap_or([time_ns; 2]);
             self.span_ns = Some([first_ns.min(time_ns), last_ns.max(time_ns)]);
         }
-        if let Some(arrivals) = self.arrivals.get_mut(row.kind) {
+        if let Some((_, arrivals)) = self.arrivals.get_mut(row.kind) {
             arrivals.add(row.time_ns);
         }
         let time_ns = row.time_ns.unwrap_or_default();
@@ -370,8 +369,7 @@ impl<'a> Stats<'a> {
             board_modes: spans(&self.board_modes, last_ns),
             ..self.report.clone()
         };
-        let topics = self.kinds.iter().zip(&self.arrivals);
-        for (kind, arrivals) in topics.filter(|(kind, _)| kind.chosen) {
+        for (kind, arrivals) in self.arrivals.iter().filter(|(kind, _)| kind.chosen) {
             let [longest_gap_ms, longest_gap_at_s] = figures(arrivals.longest_gap());
             report.topics.push(TopicReport {
                 topic: kind.name,
