@@ -12,7 +12,7 @@ use singletrackd::{monotonic_ns, serial_port};
 
 use super::{
     DumpArgs, DumpError,
-    source::{Kind, Message, Next, Place, Row, Source, TELEMETRY, now},
+    source::{Frame, Kind, Message, Next, Place, Row, Source, TELEMETRY, now},
 };
 use crate::operator::terminal::wait_to_read;
 
@@ -29,19 +29,12 @@ const RESTART_US: i32 = -1_000_000;
 /// it.
 type Extent = [u64; 2];
 
-/// A message, or in a word why there is none.
-type Found = Result<ToHost, &'static str>;
-
-/// What a stretch of bytes up to a zero holds.
-pub(super) struct Frame {
-    /// The name of its kind.
-    pub(super) name: &'static str,
-    pub(super) fields: Vec<(String, Value)>,
-    pub(super) message: Found,
-}
-
 impl Frame {
-    fn new(name: &'static str, [offset, length]: Extent, message: Found) -> Self {
+    fn new(
+        name: &'static str,
+        [offset, length]: Extent,
+        message: Result<ToHost, &'static str>,
+    ) -> Self {
         let frame = Self {
             name,
             fields: Vec::new(),

@@ -14,12 +14,13 @@ use std::{
 
 use jiff::Timestamp;
 use singletrack_api::ClientError;
+use singletrack_protocol::ToHost;
 use singletrack_record::{
     ClockMapping, Ending, Entry, Reader, Recorded, Topic, Value, write_json_object,
 };
 use singletrackd::monotonic_ns;
 
-use super::{DumpArgs, DumpError, line::Frame};
+use super::{DumpArgs, DumpError};
 use crate::operator::entries::{Entries, Heard};
 
 /// The field that every row has beside its own: seconds since the start of the
@@ -310,6 +311,15 @@ pub(super) enum Message<'a> {
     Entry(Box<Entry>),
     /// What came over the line.
     Frame(Frame),
+}
+
+/// What a stretch of bytes on the line up to a zero holds.
+pub(super) struct Frame {
+    /// The name of its kind.
+    pub(super) name: &'static str,
+    pub(super) fields: Vec<(String, Value)>,
+    /// The message, or in a word why there is none.
+    pub(super) message: Result<ToHost, &'static str>,
 }
 
 impl Row<'_> {
