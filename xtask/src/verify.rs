@@ -149,7 +149,7 @@ const STEPS: [Step; 30] = [
         prerequisites::ensure(&["base"].into_iter().chain(parts.map(Part::name)).collect::<Vec<_>>())
     }),
     row("format", 0.02, Always, "the code is formatted", |_| format()),
-    row("compile", 3.8, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
+    row("compile", 3.6, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
     row("lints-uno", 0.21, Of(Part::Uno), "no warning in the Arduino's image", |_| uno::lint()),
     row("packages", 0.2, All, "packages build alone, and those for others can be packed",
         |_| check_alone().and_then(|()| check_published())),
@@ -157,7 +157,7 @@ const STEPS: [Step; 30] = [
         "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| check(script("xtask/src/units.sh").arg(target::folder()?.join("units")))),
     // Checks of the programs in virtual time.
-    row("tests", 2.65, Always, "unit, property and virtual-time tests, examples of the documentation",
+    row("tests", 2.4, Always, "unit, property and virtual-time tests, examples of the documentation",
         |packages| {
         let mut tests = packages.tests(None)?;
         if *packages == Packages::Default {
@@ -212,7 +212,7 @@ const STEPS: [Step; 30] = [
     row("debian", 0.16, Of(Part::Debian),
         "this machine's Debian package is clean by lintian, complete, and its programs run",
         deb::verify),
-    row("odroid", 1.55, Of(Part::Odroid),
+    row("odroid", 1.45, Of(Part::Odroid),
         "the daemon compiles for the Odroid, and what computes gives the same bits there", odroid::verify),
     row("web", 1.1, Of(Part::Web),
         "the laboratory in a browser has the same bits, in Node and in Chromium", web::verify),
@@ -338,10 +338,10 @@ mod tests {
     #[test]
     fn the_steps_stay_within_the_processor_time_of_both_commands() {
         let all: f64 = STEPS.iter().map(|step| step.budget).sum();
-        assert!(all <= 13.15, "{all}");
+        assert!(all <= 12.6, "{all}");
         let always = STEPS.iter().filter(|step| step.scope == Always);
         let always: f64 = always.map(|step| step.budget).sum();
-        assert!(always <= 7.44, "{always}");
+        assert!(always <= 6.99, "{always}");
     }
 
     #[test]
