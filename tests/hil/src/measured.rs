@@ -153,7 +153,7 @@ macro_rules! ensure {
 struct Processors {
     free: u64,
     all: u64,
-    /// Of this process and of those that it has started.
+    /// What this process and those that it has started have used.
     own: u64,
 }
 
@@ -175,9 +175,8 @@ impl Processors {
         })
     }
 
-    /// The shares of the time since then.
-    fn shares_until_now(self) -> Option<Shares> {
-        let later = Self::now()?;
+    /// The shares of the time from then until later.
+    fn shares_until(self, later: Self) -> Option<Shares> {
         let all = later.all.checked_sub(self.all).filter(|&all| all > 0)?;
         let share = |time: u64| time as f64 / all as f64;
         let free = later.free.saturating_sub(self.free);
@@ -256,9 +255,12 @@ impl Load {
             let mut worst: Option<Shares> = None;
             let mut begin = Processors::now();
             while stopped.recv_timeout(Self::WINDOW) == Err(RecvTimeoutError::Timeout) {
-                let shares = begin.and_then(Processors::shares_until_now);
+                let now = Processors::now();
+                let shares = begin
+                    .zip(now)
+                    .and_then(|(begin, now)| begin.shares_until(now));
                 worst = worst.into_iter().chain(shares).reduce(Shares::worse);
-                begin = Processors::now();
+                begin = now;
             }
             worst
         });
@@ -272,7 +274,7 @@ impl Load {
     /// The worst shares, of all the time and of each window; nothing where the kernel does not report
     /// them.
     pub fn worst(self) -> Option<Shares> {
-        let whole = self.begin?.shares_until_now()?;
+        let whole = self.begin?.shares_until(Processors::now()?)?;
         drop(self.stop);
         let windows = self.worst.join().ok()?;
         Some(windows.map_or(whole, |worst| worst.worse(whole)))

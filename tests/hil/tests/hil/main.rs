@@ -143,8 +143,8 @@ const TOLERATED_LATENESS: Duration = Duration::from_millis(40);
 /// The rigs are not late then, which have priority, but the daemon, its clients and the tests are.
 const LEAST_FREE: f64 = 0.1;
 
-/// The same for a test that loads the machine itself: the share that other programs used, above which its
-/// failure is not valid.
+/// Share of the processors' time that other programs used, in any two seconds, above which a failure of a
+/// test that loads the machine itself is not valid.
 const MOST_OF_OTHERS: f64 = 0.25;
 
 fn main() -> ExitCode {
