@@ -114,6 +114,8 @@ pub(super) fn run_filter(
 /// The states that the rates of the states depend on: yaw, yaw rate, sideslip, speed and the bias of the
 /// forward acceleration. By the others, a state has the derivative 1 or 0.
 const SEEDS: [usize; 5] = [2, 3, 4, 5, 7];
+/// The state that the gyro measures beside the yaw rate.
+const GYRO_BIAS: usize = 6;
 
 type Dual = DualSVec64<{ SEEDS.len() }>;
 
@@ -241,7 +243,11 @@ impl EventHandler<f64> for Filter<'_> {
         let scale = self.model.get(Parameter::GyroScale);
         let expected = estimate.motion.yaw_rate * scale + estimate.gyro_bias;
         let difference = sample.yaw_rate_rad_s - expected.re;
-        let yaw_rate = self.correct(Channel::YawRate, gradient(&expected, Some(6)), difference);
+        let yaw_rate = self.correct(
+            Channel::YawRate,
+            gradient(&expected, Some(GYRO_BIAS)),
+            difference,
+        );
         let estimate = self.seeded();
         let expected = self
             .model

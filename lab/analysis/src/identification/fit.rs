@@ -43,7 +43,7 @@ pub(super) struct Task<'a> {
 
 /// The largest number of rounds. A round runs the filter and then the optimiser.
 const ROUNDS: usize = 12;
-/// The smallest.
+/// The smallest number of rounds.
 const LEAST_ROUNDS: usize = 3;
 /// Evaluations in one run of the optimiser, over the number of parameters plus one.
 const PATIENCE: usize = 1;

@@ -30,7 +30,7 @@ const FILTER_RUNS: usize = 4;
 const STEPS: usize = 60;
 /// The last step with the last run of the filter is below this, in standard deviations.
 const SETTLED: f64 = 0.01;
-/// The same with those before, which the next run moves by more.
+/// The last step with an earlier run is below this: the next run moves the minimum by more.
 const ROUGHLY: f64 = 0.5;
 /// A start that comes so near to the way of an earlier one goes on like that, in standard deviations.
 const JOINED: f64 = 1.0;
