@@ -1,7 +1,7 @@
 //! Frames on the line itself, whole and broken ones: from a serial port, or from a capture of its
 //! bytes.
 
-use std::{borrow::Cow, fs::File, io, os::fd::AsFd, task::Poll, thread, time::Duration, vec};
+use std::{borrow::Cow, fs::File, io, os::fd::AsFd, task::Poll, thread, vec};
 
 use rustix::io::Errno;
 use singletrack_protocol::{
@@ -12,14 +12,12 @@ use singletrackd::{monotonic_ns, serial_port};
 
 use super::{
     DumpArgs, DumpError,
-    source::{Frame, Kind, Message, Next, Place, Row, Source, TELEMETRY, now},
+    source::{Frame, Kind, Message, Next, PATIENCE, Place, Row, Source, TELEMETRY, now},
 };
 use crate::operator::terminal::wait_to_read;
 
 /// How much is read at once.
 const READ_LENGTH: usize = 64 << 10;
-/// The longest wait for bytes.
-const PATIENCE: Duration = Duration::from_millis(100);
 /// No more bytes than this of something broken are shown.
 const SHOWN_BYTES: usize = 64;
 /// A board whose clock went back by more than this has restarted.

@@ -215,6 +215,11 @@ impl Source for Live {
         }
     }
 
+    fn wait(&mut self) -> Result<(), DumpError> {
+        thread::sleep(LIVE);
+        Ok(())
+    }
+
     fn missed(&self) -> u64 {
         self.missed
     }
@@ -266,7 +271,7 @@ impl Place {
             Ok(metadata) if metadata.file_type().is_char_device() => Self::Serial,
             Ok(metadata) if metadata.is_file() && !begins_as_mcap(path) => Self::Raw,
             Ok(metadata) if metadata.is_file() || metadata.is_dir() => Self::Record,
-            // Of a pipe, what is looked at is gone.
+            // A pipe gives its bytes once.
             Ok(_) => Self::Raw,
             // Opening a record reports best why it failed.
             Err(_) => Self::Record,
@@ -281,8 +286,10 @@ fn begins_as_mcap(path: &Path) -> bool {
     read.is_ok() && magic == MCAP_MAGIC
 }
 
-/// Time between two looks at a record that grows, or at what the daemon sends.
-const LOOK: Duration = Duration::from_millis(10);
+/// The longest time that a source waits for more.
+pub(super) const PATIENCE: Duration = Duration::from_millis(100);
+/// Time between two looks at what the daemon sends.
+const LIVE: Duration = Duration::from_millis(10);
 
 /// The clocks as they are now.
 pub(super) fn now() -> ClockMapping {
@@ -380,7 +387,7 @@ pub(super) trait Source {
 
     /// Waits for more, but not for long.
     fn wait(&mut self) -> Result<(), DumpError> {
-        thread::sleep(LOOK);
+        thread::sleep(PATIENCE);
         Ok(())
     }
 
