@@ -226,6 +226,9 @@ struct Cost {
     errors: Vec<(Place, f64)>,
 }
 
+/// From one start to its minimum: the coordinates after each run of the filter.
+type Way = Vec<Vec<f64>>;
+
 /// Where the cost is least.
 struct Minimum {
     u: Vec<f64>,
@@ -274,11 +277,12 @@ impl Task<'_> {
             }
         }
         let mut last = self.diverged(&vec![0.0; self.active.len()]);
-        let mut ways = [const { Vec::new() }; FILTER_RUNS];
+        let mut ways: Vec<Way> = Vec::new();
         for start in starts {
-            match self.descend(start, &mut ways, &servo, &seen, scale, &loose) {
+            match self.descend(start, &ways, &servo, &seen, scale, &loose) {
                 Ok(None) => {}
-                Ok(Some((cost, fit))) => {
+                Ok(Some((cost, fit, way))) => {
+                    ways.push(way);
                     let better = best.as_ref().is_none_or(|(least, _)| cost < *least);
                     if better {
                         best = Some((cost, Fit { frames, ..fit }));
@@ -316,18 +320,19 @@ impl Task<'_> {
         self.spans.iter().map(Span::seconds).sum::<f64>() / BLOCK
     }
 
-    /// From one start to its minimum, with the cost there; none if it joins one of the other `ways`, which
-    /// are the points after each run of the filter.
+    /// From one start to its minimum, with the cost there and the way; none if it joins another one. A way
+    /// that ends at no minimum is not among these: each start fails by itself.
     fn descend(
         &self,
         mut u: Vec<f64>,
-        ways: &mut [Vec<Vec<f64>>; FILTER_RUNS],
+        ways: &[Way],
         servo: &[ServoTarget],
         seen: &[[f64; 2]],
         scale: Option<GyroScale>,
         noise: &NoiseLevels,
-    ) -> Result<Option<(f64, Fit)>, IdentificationError> {
-        for (number, others) in ways.iter_mut().enumerate() {
+    ) -> Result<Option<(f64, Fit, Way)>, IdentificationError> {
+        let mut way = Way::new();
+        for number in 0..FILTER_RUNS {
             let is_last = number + 1 == FILTER_RUNS;
             let run = self.run_filter(servo, &u, noise)?;
             let problem = Simulated {
@@ -346,10 +351,11 @@ impl Task<'_> {
             let settled = if is_last { SETTLED } else { ROUGHLY };
             let least = problem.minimise(&u, settled);
             let least = least.ok_or_else(|| self.diverged(&u))?;
-            if others.iter().any(|other| least.distance(other) < JOINED) {
+            let mut others = ways.iter().filter_map(|way| way.get(number));
+            if others.any(|other| least.distance(other) < JOINED) {
                 return Ok(None);
             }
-            others.push(least.u.clone());
+            way.push(least.u.clone());
             if is_last {
                 let times: Vec<f64> = least
                     .cost
@@ -373,7 +379,7 @@ impl Task<'_> {
                     unsettled: least.unsettled,
                     run,
                 };
-                return Ok(Some((least.cost.value, fit)));
+                return Ok(Some((least.cost.value, fit, way)));
             }
             u = least.u;
         }
