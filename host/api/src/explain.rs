@@ -61,12 +61,16 @@ pub fn explain<T: DeserializeOwned>(
     Some(format!("{within}{key} is {}: {what}", quote(value)))
 }
 
+/// Whether a text is no JSON for a number that no `f64` holds. Serde has no other sign of it.
+pub fn is_too_large(error: &serde_json::Error) -> bool {
+    error.to_string().starts_with("number out of range")
+}
+
 /// Why a text is no object of JSON.
 pub(crate) fn no_object(text: &[u8], error: &serde_json::Error) -> String {
     let column = error.column();
-    let message = error.to_string();
     match error.classify() {
-        _ if message.starts_with("number out of range") => {
+        _ if is_too_large(error) => {
             format!("the number that ends at character {column} is too large")
         }
         Category::Eof => "the line is not JSON: it ends too early".to_owned(),

@@ -32,7 +32,7 @@ pub use clock::ClockOffset;
 #[cfg(unix)]
 pub use connection::{Connection, ask, ask_as, ask_within, connect};
 pub use error::ClientError;
-pub use explain::explain;
+pub use explain::{explain, is_too_large};
 #[cfg(unix)]
 pub use fleet::{Fleet, FleetArm, FleetCar, FleetDrive, FleetEnd, FleetFileError, NotObeyed};
 #[cfg(unix)]

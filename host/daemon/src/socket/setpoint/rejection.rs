@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 use serde_json::Value;
-use singletrack_api::Code;
+use singletrack_api::{Code, is_too_large};
 use singletrack_pilot::SetpointRefusal;
 
 /// Counts of set-points since the daemon started.
@@ -39,7 +39,7 @@ pub(in crate::socket) fn unreadable(line: &[u8]) -> Option<Code> {
         let is_number = match serde_json::from_slice::<Value>(line) {
             Ok(Value::Object(keys)) => keys.values().any(has_null),
             Ok(_) => false,
-            Err(error) => error.to_string().contains("number out of range"),
+            Err(error) => is_too_large(&error),
         };
         let is_word = [&b"NaN"[..], b"nan", b"Infinity", b"inf"];
         if is_number || is_word.into_iter().any(contains) {
