@@ -18,7 +18,9 @@ mod control_loop;
 mod diagnosis;
 mod documents;
 mod feasibility;
+mod governed_feasibility;
 mod outer_loops;
+mod reasons;
 #[path = "common/simulated_drive.rs"]
 mod simulated_drive;
 mod tuning;

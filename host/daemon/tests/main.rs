@@ -15,6 +15,7 @@ mod documentation;
 mod files;
 mod hazards;
 mod packaging;
+mod references;
 mod serial_line;
 mod service;
 #[path = "common/terminal.rs"]

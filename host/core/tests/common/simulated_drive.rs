@@ -205,7 +205,7 @@ impl SimulatedDrive {
         self.output().map(|output| output.mode)
     }
 
-    /// As [`after_tick`](Self::after_tick), with the whole output of the tick.
+    /// [`after_tick`](Self::after_tick) with the whole output of the tick.
     pub(crate) fn output(&mut self) -> Option<Output> {
         let sent = self.sent();
         self.world.host_write(&sent);
