@@ -97,8 +97,8 @@ struct LogResult {
     /// Root mean square of the yaw rate that the identified car predicts, alone with steering and speed,
     /// less the measured one; of a log that is held out.
     identified_rms_rad_s: Option<f64>,
-    /// The same of the car of the configuration, with the identified steering: of DART, the parameters
-    /// that its authors give.
+    /// Root mean square for the car of the configuration, with the identified steering: for DART, the
+    /// parameters that its authors give.
     configured_rms_rad_s: Option<f64>,
     /// Root mean square of the error of the yaw rate that the plain fit predicts.
     plain_rms_rad_s: Option<f64>,

@@ -31,7 +31,7 @@ impl Table {
         }
     }
 
-    /// As JSON: an object for each row, with null for a number that is missing.
+    /// The table as JSON: an object for each row, with null for a number that is missing.
     pub fn to_json(&self) -> Vec<Map<String, Value>> {
         let object = |row: &Vec<f64>| {
             let names = self.header.split(',').map(str::to_owned);
@@ -40,7 +40,7 @@ impl Table {
         self.rows.iter().map(object).collect()
     }
 
-    /// As CSV: numbers with every significant digit; an empty cell for one that is missing.
+    /// The table as CSV: numbers with every significant digit; an empty cell for one that is missing.
     pub fn to_csv(&self) -> String {
         let cell = |value: &f64| {
             if value.is_nan() {

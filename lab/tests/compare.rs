@@ -35,7 +35,7 @@ fn run(plan: &Comparison, arguments: &CampaignArgs) -> Campaign<Comparison> {
     Campaign::obtain(plan.clone(), arguments).unwrap()
 }
 
-/// The same in parts, of which each has a file.
+/// The campaign in parts, of which each has a file.
 fn merged(plan: &Comparison, parts: u32) -> Campaign<Comparison> {
     let folder = tempfile::tempdir().unwrap();
     let shards = (1..=parts).map(|index| {

@@ -252,7 +252,7 @@ impl Fleet {
         cars.map(|car| (car.name.clone(), car.socket())).collect()
     }
 
-    /// By name, the daemon's status, or `error` alone.
+    /// The daemon's status by name, or `error` alone.
     fn status<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let answers = py.detach(|| self.cars.status(|| self.clock_ns()));
         let all = PyDict::new(py);

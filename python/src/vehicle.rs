@@ -77,7 +77,7 @@ impl Vehicle {
 #[derive(Debug)]
 pub(crate) struct Plant {
     car: Car,
-    /// Of the car, now.
+    /// State of the car, now.
     truth: Truth,
     steering: SteeringMap,
     actuators: Actuators,

@@ -17,7 +17,7 @@ use crate::{
 /// Searches the compiler for the Arduino's processor.
 pub(crate) const AVR: &str = "compiler avr-none core";
 
-/// The same, with clippy of the same release.
+/// Searches that compiler with clippy of the same release.
 pub(crate) const AVR_CLIPPY: &str = "compiler avr-none core clippy";
 
 /// A processor with Linux.

@@ -22,8 +22,8 @@ impl ClockOffset {
         client_ns.saturating_add_signed(self.offset_ns)
     }
 
-    /// By one exchange: asked at `sent_ns` and answered at `received_ns` of the client's clock, with
-    /// `daemon_ns` between.
+    /// Offset by one exchange: asked at `sent_ns` and answered at `received_ns` of the client's clock,
+    /// with `daemon_ns` between.
     const fn of(sent_ns: u64, daemon_ns: u64, received_ns: u64) -> Self {
         let bound_ns = received_ns.saturating_sub(sent_ns).div_ceil(2);
         Self {

@@ -54,7 +54,7 @@ pub fn ask(request: &Request, path: &Path) -> Result<Answer, ClientError> {
     ask_within(request, path, ANSWER_TIMEOUT)
 }
 
-/// The same, with another longest wait for the answer.
+/// [`ask`] with another longest wait for the answer.
 ///
 /// # Errors
 ///

@@ -32,21 +32,21 @@ pub enum Reply {
     Drive {
         /// The drive.
         drive: Drive,
-        /// Of the protocol.
+        /// Version of the protocol.
         version: u32,
     },
     /// How a held drive ended.
     Ended {
         /// The end.
         ended: Ended,
-        /// Of the protocol.
+        /// Version of the protocol.
         version: u32,
     },
     /// To a watcher that is too slow.
     Missed {
         /// Entries or states that it missed.
         missed: u64,
-        /// Of the protocol.
+        /// Version of the protocol.
         version: u32,
     },
 }
@@ -150,7 +150,7 @@ pub struct Answer {
     /// The tuned values in force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tuning: Option<Tuning>,
-    /// Of the protocol.
+    /// Version of the protocol.
     pub version: u32,
     /// What a new reference asks of the car that it can hardly do; of a drive that has begun, why it is
     /// not recorded, or soon will not be.
@@ -195,9 +195,9 @@ pub struct Tuning {
 /// The least and the most of each tuned value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TuningBounds {
-    /// Of each gain, per second.
+    /// Least and largest gain, per second.
     pub gain_per_s: Option<[f64; 2]>,
-    /// Of p, in m.
+    /// Least and largest distance p, in m.
     pub point_distance_m: Option<[f64; 2]>,
 }
 

@@ -23,9 +23,9 @@ pub enum Request {
     /// Pulses for servo and ESC while this connection jogs, which they renew; only a failure is
     /// answered.
     Jog {
-        /// Of the servo, in µs.
+        /// Pulse of the servo, in µs.
         servo_us: u16,
-        /// Of the ESC, in µs.
+        /// Pulse of the ESC, in µs.
         esc_us: u16,
     },
     /// Slow down, stop and disarm.
@@ -86,10 +86,10 @@ pub struct Arm {
     /// The length of a timed drive, in s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub for_s: Option<f64>,
-    /// Of a held drive: the longest time between two renewals, in ms.
+    /// The longest time between two renewals of a held drive, in ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hold_ms: Option<u64>,
-    /// Of a held drive: when the reference begins, on the daemon's `CLOCK_MONOTONIC`. Until then the
+    /// When the reference of a held drive begins, on the daemon's `CLOCK_MONOTONIC`. Until then the
     /// armed car stands.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start_ns: Option<u64>,

@@ -49,7 +49,7 @@ pub struct Status {
 /// The board.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Board {
-    /// Of its battery, in mV.
+    /// Voltage of its battery, in mV.
     pub battery_mv: Option<u16>,
     /// Its own mode.
     pub mode: Word,

@@ -103,7 +103,7 @@ pub enum Attendance {
 /// Why a procedure cannot go on.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Interrupted {
-    /// By the operator.
+    /// The operator interrupted it.
     #[error("interrupted by the operator")]
     ByOperator,
     /// The daemon has ended, or the connection to it.
@@ -153,7 +153,7 @@ pub enum Observation {
 pub struct BoardReading {
     /// When the board made it.
     pub time: Time,
-    /// The same on the board's own clock, µs, wrapping.
+    /// Its time on the board's own clock, µs, wrapping.
     pub board_us: u32,
     /// When it arrived.
     pub receive: Time,
@@ -183,7 +183,7 @@ impl BoardReading {
 pub struct Inertial {
     /// When the board read it.
     pub time: Time,
-    /// The same on the board's own clock, µs, wrapping.
+    /// Its time on the board's own clock, µs, wrapping.
     pub board_us: u32,
     /// Acceleration without gravity, m/s².
     pub acceleration: [f64; 3],

@@ -29,11 +29,11 @@ const PARAMETERS: [(&str, &str, &str); 3] = [
 pub(crate) struct NoiseLevel {
     /// Mean speed of the wheels, m/s.
     pub(crate) speed: f64,
-    /// Of the acceleration forward, m/s².
+    /// Noise of the acceleration forward, m/s².
     pub(crate) forward: SignalNoise,
-    /// Of the acceleration to the left, m/s².
+    /// Noise of the acceleration to the left, m/s².
     pub(crate) left: SignalNoise,
-    /// Of the yaw rate, rad/s.
+    /// Noise of the yaw rate, rad/s.
     pub(crate) yaw_rate: SignalNoise,
 }
 

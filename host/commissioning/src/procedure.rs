@@ -33,12 +33,12 @@ impl Step {
         }
     }
 
-    /// The same, and every finding is compared with this.
+    /// The step whose every finding is compared with this.
     pub(crate) const fn expecting(self, expected: &'static str) -> Self {
         Self { expected, ..self }
     }
 
-    /// The same, but it may fail.
+    /// The step, which may fail.
     pub(crate) const fn optional(self) -> Self {
         Self {
             essential: false,

@@ -45,7 +45,7 @@ pub struct Sensor {
     pub slope: f64,
     /// Standard deviation of the slope.
     pub slope_deviation: f64,
-    /// By how much it is later than the cameras; of the steering, which the car follows, negative.
+    /// Its lateness against the cameras; negative for the steering, which the car follows.
     pub lag_s: f64,
     /// Standard deviation of the lag.
     pub lag_deviation_s: f64,

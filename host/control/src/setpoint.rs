@@ -165,7 +165,7 @@ impl SetpointStamp {
 }
 
 impl SpeedDemand {
-    /// The same demand of the centre of mass, which has this sideslip (rad): its velocity and that of
+    /// The demand as one of the centre of mass, which has this sideslip (rad): its velocity and that of
     /// the rear axle have one forward component.
     #[must_use]
     pub fn of_centre(self, sideslip: f64) -> Self {

@@ -75,7 +75,7 @@ impl CommissionedFile {
         }))
     }
 
-    /// As [`not_commissioned`].
+    /// [`not_commissioned`] of this file.
     pub(crate) fn refusal(&self, config: &Config) -> Option<String> {
         if !config.supervisor.require_calibration {
             return None;

@@ -14,8 +14,8 @@ use crate::{messages::MessageFeed, summary::Tally};
 /// Lines that a watcher may be behind before it misses some.
 const WATCH_CAPACITY: usize = 1_024;
 
-/// The same of the states: 160 ms at 100 Hz. A controller has no use for an older state; who wants
-/// every tick watches `tick`.
+/// States that wait for a slow reader: 160 ms at 100 Hz. A controller has no use for an older state;
+/// who wants every tick watches `tick`.
 const STATE_CAPACITY: usize = 16;
 
 /// Ticks that a client that waits for one may be behind: those of 10 s.
@@ -60,7 +60,7 @@ pub(crate) struct SharedStatus {
     tally: Mutex<Tally>,
     /// Every entry of the record as a line of JSON.
     pub(crate) watchers: broadcast::Sender<(Topic, Arc<str>)>,
-    /// The same as the messages of the record.
+    /// Entries as the messages of the record.
     pub(crate) messages: MessageFeed,
     /// The state of every tick as a line of JSON, with its end.
     pub(crate) states: broadcast::Sender<Arc<str>>,

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// The same reason is logged once in this time.
+/// A reason is logged once in this time.
 const LOG_INTERVAL: Duration = Duration::from_secs(5);
 
 /// The counts, shared by all threads.

@@ -19,7 +19,7 @@ const CONNECTIONS: usize = 64;
 
 #[derive(Debug, Args)]
 pub(crate) struct Car {
-    /// Of the car, as in the file of the fleet
+    /// Name of the car, as in the file of the fleet
     #[arg(long)]
     pub(crate) name: String,
     /// The daemon's control socket

@@ -29,13 +29,13 @@ words! {
         LateStamps = "stamps-20ms",
         /// The cameras see nothing for 50 ms, a second after the counting begins.
         Loss50 = "loss-50ms",
-        /// The same for 100 ms.
+        /// The cameras see nothing for 100 ms.
         Loss100 = "loss-100ms",
-        /// The same for 200 ms.
+        /// The cameras see nothing for 200 ms.
         Loss200 = "loss-200ms",
-        /// The same for 500 ms.
+        /// The cameras see nothing for 500 ms.
         Loss500 = "loss-500ms",
-        /// The same for a second.
+        /// The cameras see nothing for a second.
         Loss1000 = "loss-1000ms",
         /// The paper's equations in place of the simulated car: no lag, noise, limits or estimator.
         IdealPlant = "ideal-plant",

@@ -19,25 +19,25 @@ words! {
         P = "p",
         /// With the reference's velocity fed forward.
         PFf = "p-ff",
-        /// The same, with a tuned gain.
+        /// Proportional with a tuned gain, and the reference's velocity fed forward.
         PTuned = "p-tuned",
-        /// The same, with the compensation of clock and actuators, and a gain tuned for it.
+        /// Proportional with the compensation of clock and actuators, and a gain tuned for it.
         PCompensated = "p-compensated",
         /// Linear-quadratic with an integral, tuned.
         Lqi = "lqi",
-        /// The same, with the compensation.
+        /// Linear-quadratic with an integral, and with the compensation.
         LqiCompensated = "lqi-compensated",
         /// Predictive, tuned.
         Mpc = "mpc",
-        /// The same, with the compensation.
+        /// Predictive with the compensation.
         MpcCompensated = "mpc-compensated",
         /// Pure pursuit, tuned.
         PurePursuit = "pure-pursuit",
-        /// The same, with the compensation of clock and actuators, tuned for it.
+        /// Pure pursuit with the compensation of clock and actuators, tuned for it.
         PurePursuitCompensated = "pure-pursuit-compensated",
         /// Stanley, tuned.
         Stanley = "stanley",
-        /// The same, with the compensation.
+        /// Stanley with the compensation.
         StanleyCompensated = "stanley-compensated",
         /// Model predictive control of the single-track model within the limits of the actuators,
         /// tuned.
@@ -142,21 +142,21 @@ const MPC_ACCELERATION_WEIGHT: f64 = 3e-5;
 /// How a controller drives.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Drives {
-    /// By velocities of P: the law in the pilot steers.
+    /// Velocities of P, by which the law in the pilot steers.
     Point {
         outer_loop: OuterLoopSection,
         compensated: bool,
     },
-    /// By steering and speed, from outside.
+    /// Steering and speed from outside.
     Actuators {
         law: Law,
         catch_up: f64,
         compensated: bool,
     },
-    /// By steering and speed of a plan with the single-track model, with these weights of the squared
+    /// Steering and speed of a plan with the single-track model, with these weights of the squared
     /// steering rate, in (rad/s)⁻², and acceleration, in (m/s²)⁻².
     Predictive([f64; 2]),
-    /// By set-points of a program.
+    /// Set-points of a program.
     Yours(OwnPoint),
 }
 

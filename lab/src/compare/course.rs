@@ -210,7 +210,7 @@ impl Course {
         Self::lanes(speed, steps, [before, before])
     }
 
-    /// The same with straight lines of these lengths.
+    /// Changes of lane by these steps, with straight lines of these lengths.
     fn lanes(speed: f64, steps: &[f64], [before, after]: [f64; 2]) -> Self {
         let changes = steps.len() as f64 * (LANE_LENGTH_M + LANE_BETWEEN_M) - LANE_BETWEEN_M;
         let length = before + changes + after;

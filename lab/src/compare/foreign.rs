@@ -169,7 +169,7 @@ impl Foreign<'_> {
         ]
     }
 
-    /// The same from a state that goes on for `ahead` seconds without a change, for `time` seconds
+    /// The command from a state that goes on for `ahead` seconds without a change, for `time` seconds
     /// after the start of the drive.
     pub(super) fn command(&mut self, estimate: &Estimate, time: f64, ahead: f64) -> [f64; 2] {
         let course = estimate.yaw + estimate.sideslip;
@@ -226,7 +226,7 @@ impl Foreign<'_> {
         [steering, rear_speed / cos(sideslip)]
     }
 
-    /// The same by the law of the appendix; straight on where it is singular, near standstill.
+    /// The command by the law of the appendix; straight on where it is singular, near standstill.
     fn appendix(&self, g: &Position, motion: &Motion, time: f64, gain: f64) -> [f64; 2] {
         let Ok(law) = VelocityPointLaw::new(self.vehicle, POINT_DISTANCE_M) else {
             return [0.0; 2];

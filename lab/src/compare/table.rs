@@ -113,7 +113,7 @@ pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
     lines
 }
 
-/// The same, in which the program's own controller has this name.
+/// Lines in which the program's own controller has this name.
 pub fn lines_with(plan: &Comparison, results: &[(u64, DriveResult)], yours: &str) -> Vec<Line> {
     let mut lines = lines(plan, results);
     for line in &mut lines {

@@ -36,7 +36,7 @@ struct Bend {
 }
 
 impl Bends {
-    /// Of a drive; none if the cameras never show a car that drives for long enough.
+    /// The bends of a drive; none if the cameras never show a car that drives for long enough.
     pub(super) fn of(log: &Log, run: &Run, config: &Config) -> Option<Self> {
         let (wheelbase, most) = (
             config.vehicle.wheelbase_m(),

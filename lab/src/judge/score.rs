@@ -26,9 +26,9 @@ const WITHIN_95: f64 = 1.96;
 pub struct Noise {
     /// Which.
     pub sensor: &'static str,
-    /// Of both values.
+    /// Unit of both values.
     pub unit: &'static str,
-    /// By this log; none if it does not show it.
+    /// What this log shows; none if it does not.
     pub measured: Option<f64>,
     /// What the estimator reckons with in the same moments.
     pub configured: f64,
@@ -229,9 +229,9 @@ pub struct Verdict {
     pub speed_max_m_s: f64,
     /// Root mean square of estimated minus smoothed speed, above 0.5 m/s.
     pub speed_rms_m_s: Option<f64>,
-    /// The same of the yaw rate.
+    /// Root mean square of the error of the yaw rate.
     pub yaw_rate_rms_rad_s: Option<f64>,
-    /// The same of the sideslip.
+    /// Root mean square of the error of the sideslip.
     pub sideslip_rms_rad: Option<f64>,
     /// Root mean square of the sideslip itself.
     pub true_sideslip_rms_rad: Option<f64>,
@@ -239,7 +239,7 @@ pub struct Verdict {
     pub sideslip_within_95: Option<f64>,
     /// The gyro's scale in the end; none without a gyro.
     pub gyro_scale: Option<f64>,
-    /// Of every sensor.
+    /// Noise of every sensor.
     pub noise: Vec<Noise>,
     /// Every sensor beside the cameras.
     pub sensors: Vec<Sensor>,

@@ -124,7 +124,7 @@ const fn disturbed([yaw, yaw_rate, sideslip, steering]: [f64; 4]) -> (Motion, f6
     (motion, steering)
 }
 
-/// By how much the motion differs between directions of the velocity of P, at most.
+/// The largest difference of the motion between directions of the velocity of P.
 pub(super) fn direction_matters(setup: &Setup) -> Option<f64> {
     let law = law(setup, 0.0, setup.point_distance_m())?;
     let model = SingleTrack::new(setup.vehicle);

@@ -29,7 +29,7 @@ pub struct EigenvalueRow {
     pub speed: f64,
     /// The deviation dl, in m.
     pub deviation: f64,
-    /// By ascending real part, in 1/s.
+    /// Eigenvalues by ascending real part, in 1/s.
     pub eigenvalues: Eigenvalues,
 }
 

@@ -224,7 +224,7 @@ pub struct SampledRow {
     pub speed_m_s: f64,
     /// The deviation dl, in m.
     pub dl_m: f64,
-    /// By which disturbances grow or decay per tick in the long run.
+    /// The factor by which disturbances grow or decay per tick in the long run.
     pub spectral_radius: f64,
     /// The smallest delay that makes it unstable; none if no delay up to 0.5 s does.
     pub delay_margin_s: Option<f64>,

@@ -25,7 +25,7 @@ const LONGEST_CALM: u32 = 1_500;
 /// The most waits until a car that is mended can be armed, or drives.
 const WAITS: usize = 12;
 
-/// Of the states that are reached again, every 256th is compared with the one found before...
+/// Every 256th of the states that are reached again is compared with the one found before...
 const COMPARED: u64 = 256;
 
 /// ...for this number of ticks.
@@ -65,7 +65,7 @@ pub struct Explored {
     pub reasons: Vec<Reason>,
     /// How often a state was reached again, on another way.
     pub merges: u64,
-    /// Of those, driven on from both.
+    /// Merges whose two states were driven on.
     pub compared: u64,
 }
 

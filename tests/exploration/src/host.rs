@@ -207,7 +207,7 @@ impl Host {
         }
     }
 
-    /// As the pilot tells its supervisor what the daemon tells the pilot.
+    /// The supervisor hears what the pilot would tell it of what the daemon tells the pilot.
     fn handle(&mut self, event: &LinkEvent) {
         match pilot_event(event) {
             Some(Event::Board(sample)) => {

@@ -79,7 +79,7 @@ pub fn onboard(car: &OnboardCar) -> CarOutcome {
     onboard_until(car, false)
 }
 
-/// As [`onboard`]; with `found` only until what was planted has been found.
+/// [`onboard`] that with `found` goes only until what was planted has been found.
 pub fn onboard_until(car: &OnboardCar, found: bool) -> CarOutcome {
     let mut outcome = CarOutcome {
         seed: car.seed,
@@ -358,7 +358,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of these cars.
+    /// Summary of these cars.
     pub fn of(cars: &[CarOutcome]) -> Self {
         let mut summary = Self {
             cars: cars.len(),

@@ -33,7 +33,7 @@ pub struct Guard {
 /// The longest time for which a motor may be driven after the board has disarmed, in s: the
 /// motor controller that waits longest for pulses waits for one second.
 const RUN_ON_S: f64 = 1.2;
-/// By how much a speed may exceed the cap, in m/s: that of the pilot's watch.
+/// The largest excess of a speed over the cap, in m/s: that of the pilot's watch.
 const OVERSPEED_M_S: f64 = 0.4;
 /// The longest way of a car on the floor in one jog, in m.
 const JOG_WAY_M: f64 = 0.5;

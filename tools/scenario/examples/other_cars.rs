@@ -68,7 +68,7 @@ const WALL: &str = "[fence]\ncorners_m = [[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0],
 enum Course {
     /// The circle at 0.4 m/s.
     Circle,
-    /// The same at 0.73 m/s.
+    /// A circle at 0.73 m/s.
     Fast,
     /// Straight on, with a speed in m/s.
     Straight(&'static str),

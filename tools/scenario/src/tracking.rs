@@ -17,7 +17,7 @@ pub struct TrackingError {
 }
 
 impl TrackingError {
-    /// Of these distances from P to its reference, in m; `None` without any.
+    /// The error by these distances from P to its reference, in m; `None` without any.
     pub fn of(distances: &[f64]) -> Option<Self> {
         let sorted = Distribution::of(distances.iter().copied());
         Some(Self {

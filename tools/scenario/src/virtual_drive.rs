@@ -186,7 +186,7 @@ impl VirtualDrive {
         )
     }
 
-    /// As [`new`](Self::new), with the options of the host.
+    /// [`new`](Self::new) with the options of the host.
     ///
     /// # Errors
     ///
@@ -348,7 +348,7 @@ impl VirtualDrive {
         self.start_with(&mut |_| {})
     }
 
-    /// As [`start`](Self::start), and passes on every tick.
+    /// [`start`](Self::start) that passes on every tick.
     ///
     /// # Errors
     ///

@@ -31,7 +31,7 @@ fn error_mm(text: &str) -> f64 {
     1e3 * (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
-/// The same drive in another way.
+/// The drive with these changes and sections.
 fn with(text: &str, changes: &[(&str, &str)], sections: &str) -> String {
     let mut text = text.to_owned();
     for (from, to) in changes {
@@ -48,7 +48,7 @@ const CLOCK: &str = "[compensation]\nclock = true\nactuation = false\n";
 /// The car differs from what is configured, and yet has proved its configuration.
 const PROVED: &str = "[supervisor]\nprove_first_metre = false\n";
 
-/// The same drive with an IMU that does not vibrate.
+/// The drive with an IMU that does not vibrate.
 fn quiet(text: &str) -> String {
     const QUIET: &str = "[truth.imu]\nvibration_m_s2 = 0.0\nvibration_m_s2_per_m_s = 0.0\n\
          vibration_rad_s = 0.0\nvibration_rad_s_per_m_s = 0.0\n";
@@ -199,7 +199,7 @@ fn the_record_says_how_far_the_controller_looked() {
     }
 }
 
-/// Of DART, as tools/vehicles/dart-truth.toml has it, as a section of a scenario.
+/// The servo of DART, by tools/vehicles/dart-truth.toml, as a section of a scenario.
 fn real_servo() -> toml::Value {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../vehicles/dart-truth.toml");
     let truth: toml::Table = fs::read_to_string(path).unwrap().parse().unwrap();

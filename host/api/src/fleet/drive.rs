@@ -50,7 +50,7 @@ pub struct FleetDrive {
 /// How the drive of a car ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FleetEnd {
-    /// Of the car.
+    /// Name of the car.
     pub name: String,
     /// Mode and reason. The mode is `lost` when its daemon did not say.
     pub ended: Ended,

@@ -19,7 +19,7 @@ pub struct Fleet {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FleetCar {
-    /// Of the car, as in `singletrackd@NAME.service`.
+    /// Name of the car, as in `singletrackd@NAME.service`.
     pub name: String,
     /// The control socket of its daemon; for a car on another computer, one that `ssh -L` forwards.
     socket: Option<PathBuf>,

@@ -259,7 +259,7 @@ impl<'a> Car<'a> {
         self.hold_until(jog, seconds, what, |_| false)
     }
 
-    /// As [`Self::hold`], but ends when `ends` is true for a record of the telemetry.
+    /// [`Self::hold`] that ends when `ends` is true for a record of the telemetry.
     pub(super) fn hold_until(
         &mut self,
         jog: Jog,

@@ -393,7 +393,7 @@ struct Slowing {
 }
 
 impl Slowing {
-    /// By the way, less what they turned before the pulse acted.
+    /// Deceleration by the way, less what the wheels turned before the pulse acted.
     fn deceleration(&self, late_s: f64) -> Option<f64> {
         let way = self.way - self.speed * late_s;
         let squares = self.speed.powi(2) - CREEPS.powi(2);

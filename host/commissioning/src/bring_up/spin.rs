@@ -24,7 +24,7 @@ impl Car<'_> {
         self.bench().configuration().board.esc.deadband_us + 4
     }
 
-    /// As [`Self::spin`], beginning `from_us` beyond neutral; nothing if the motor does not turn.
+    /// [`Self::spin`] that begins `from_us` beyond neutral; nothing if the motor does not turn.
     ///
     /// The ESC is driven in bursts until the first pulses come: after 0.6 s of driving without a
     /// pulse the board assumes a dead sensor.

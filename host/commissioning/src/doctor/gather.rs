@@ -93,7 +93,7 @@ impl Readings {
         self.health.last().map(|health| health.status)
     }
 
-    /// By how much one of the board's counters rose, which wrap.
+    /// The rise of one of the board's counters, which wrap.
     pub(super) fn risen(&self, counter: fn(&Status) -> u16) -> u16 {
         match (self.health.first(), self.health.last()) {
             (Some(first), Some(last)) => counter(&last.status).wrapping_sub(counter(&first.status)),

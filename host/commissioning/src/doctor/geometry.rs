@@ -116,7 +116,7 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
 
 /// A pass of the car over the floor.
 struct Pass {
-    /// Of the rear axle.
+    /// How the rear axle rolled.
     rolled: Rolled,
     /// Way by the cameras over way by the pulses, where the car was fast.
     ratio: Option<f64>,

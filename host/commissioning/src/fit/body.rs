@@ -38,7 +38,7 @@ pub(crate) struct Rolled {
     pub(crate) way: f64,
     /// The direction in which it moved, from the body's x axis, in rad: to the left is positive.
     pub(crate) direction: f64,
-    /// By how much the body turned, in rad.
+    /// The angle that the body turned by, in rad.
     pub(crate) turn: f64,
 }
 

@@ -16,7 +16,7 @@ use crate::{
 /// Result of [`stamp_delay`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Delay {
-    /// By how much the stamps of the angles are too late, in s.
+    /// The time by which the stamps of the angles are too late, in s.
     pub(crate) late: Interval,
     /// Angle of the cameras over angle of the gyro.
     pub(crate) scale: Interval,
@@ -31,7 +31,7 @@ const STEPS: usize = 6;
 /// Blocks for the interval.
 const BLOCKS: usize = 10;
 
-/// By how much the stamps of `angles` (s, rad, unwrapped) are too late, from angular velocities
+/// The time by which the stamps of `angles` (s, rad, unwrapped) are too late, from angular velocities
 /// (s, rad/s) of the same motion. A constant bias of the velocities does not matter.
 /// `systematic` bounds the error of the stamps of the velocities, in s. None if the motion does
 /// not tell.
@@ -147,7 +147,7 @@ const LOOKS: usize = 10;
 pub(crate) struct Reading {
     /// When, s.
     pub(crate) time: f64,
-    /// The same on the board's clock, µs.
+    /// Its time on the board's clock, µs.
     pub(crate) board_us: u32,
 }
 

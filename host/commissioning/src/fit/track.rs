@@ -103,8 +103,8 @@ impl Track {
         Signal(self.motor.clone()).integral()
     }
 
-    /// By how much the stamps of the poses are late against the gyro, s: the sums of which the
-    /// quotient is that, so that tracks can be added. None without motion.
+    /// The lateness of the poses' stamps against the gyro, s, as two sums of which it is the quotient, so
+    /// that tracks can be added. None without motion.
     pub(crate) fn latency(&self) -> [f64; 2] {
         let rate = self.rate();
         let smooth = rate.smoothed(2);

@@ -323,7 +323,7 @@ mod tests {
         })
     }
 
-    /// The same, with the angle that the wheels have at a pulse; `truth` has the one that the driver
+    /// A pass with the angle that the wheels have at a pulse; `truth` has the one that the driver
     /// believes.
     fn pass_of(
         seed: u64,

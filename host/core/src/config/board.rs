@@ -149,7 +149,7 @@ section! {
 }
 
 impl BoardSection {
-    /// As it is sent, but for the longest roll-out, which
+    /// The configuration that is sent, but for the longest roll-out, which
     /// [`Config::board_configuration`](super::Config::board_configuration) knows.
     pub fn configuration(&self) -> Configuration {
         let esc = &self.esc;

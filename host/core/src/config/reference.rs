@@ -59,7 +59,7 @@ pub enum ReferenceSection {
         /// names it.
         file: PathBuf,
     },
-    /// The same, written out: what a record holds.
+    /// Way-points that are written out: what a record holds.
     #[serde(rename = "waypoints")]
     WaypointList {
         /// In order of time.
@@ -294,7 +294,7 @@ impl ReferenceSection {
         }
     }
 
-    /// The same reference, with nothing left in other files: those may change.
+    /// The reference with nothing left in other files: those may change.
     ///
     /// # Errors
     ///

@@ -74,7 +74,7 @@ struct Beginning {
     /// The hash of the configuration at the beginning.
     #[serde(with = "hexadecimal")]
     since: u64,
-    /// The same after the last change by the procedure itself.
+    /// The hash after the last change by the procedure itself.
     #[serde(with = "hexadecimal")]
     reached: u64,
 }

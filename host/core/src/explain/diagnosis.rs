@@ -18,7 +18,7 @@ pub struct Diagnosis {
     /// The cause.
     #[serde(rename = "diagnosis")]
     pub word: &'static str,
-    /// The same as a sentence, with addresses, names and what to do.
+    /// The diagnosis as a sentence, with addresses, names and what to do.
     pub text: String,
     /// Which other rigid body is near the car: its markers may be taken for the car's.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -78,8 +78,8 @@ pub struct Why {
 }
 
 impl Why {
-    /// Of a car that stands, why it can't be armed now, and not why the last drive ended; `None` if
-    /// there is no reason.
+    /// Why a car that stands can't be armed now, and not why its last drive ended; `None` if there is
+    /// no reason.
     pub fn of(status: &Status) -> Option<Self> {
         let stands = matches!(status.mode(), "idle" | "ready");
         let preflight = status.preflight().filter(|_| stands);
@@ -93,8 +93,8 @@ impl Why {
         Some(why)
     }
 
-    /// Of this word; `who` decides, as in [`Explanation::who`]. A word of another release is its own
-    /// explanation.
+    /// What this word means; `who` decides, as in [`Explanation::who`]. A word of another release is its
+    /// own explanation.
     pub fn of_word(who: &str, word: &str) -> Self {
         let plain = |text: &str| text.replace('`', "");
         match find(who, word) {
@@ -109,7 +109,7 @@ impl Why {
         }
     }
 
-    /// Of this word of the host, with what the status says of board and cameras.
+    /// What this word of the host means, with what the status says of board and cameras.
     pub fn explain(word: &str, status: &Status) -> Self {
         let Self {
             mut text,

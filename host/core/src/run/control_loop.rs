@@ -101,8 +101,8 @@ pub struct ControlLoop<L> {
     begin_ns: Option<u64>,
     ending: Ending,
     alignment: Option<Alignment>,
-    /// By how much to delay the next tick beyond a period after the last one, in ns;
-    /// negative to advance it.
+    /// The delay of the next tick beyond a period after the last one, in ns; negative to
+    /// advance it.
     pub slide_ns: i64,
     last_start_ns: u64,
     counters: LineCounters,

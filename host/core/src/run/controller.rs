@@ -438,7 +438,7 @@ impl Queue {
         self.link_with(event, |speed| speed);
     }
 
-    /// As [`link`](Self::link), with a conversion of the motor's speed.
+    /// [`link`](Self::link) with a conversion of the motor's speed.
     fn link_with(&mut self, event: &LinkEvent, motor_speed: impl Fn(f64) -> f64) {
         if let Some(mut event) = pilot_event(event) {
             if let Event::Board(sample) = &mut event {
@@ -449,7 +449,7 @@ impl Queue {
     }
 }
 
-/// By how much the square of a quaternion's length may differ from 1: more than its rounding (0.0003),
+/// Bound on how the square of a quaternion's length differs from 1: more than its rounding (0.0003),
 /// less than a wrong bit of the three highest makes (0.25).
 const UNIT: f64 = 0.04;
 

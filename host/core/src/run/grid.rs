@@ -107,7 +107,7 @@ impl Alignment {
         self.arrival_ns = Some(time_ns);
     }
 
-    /// By how much to delay the next deadline beyond a period after this one, in ns; negative to
+    /// The delay of the next deadline beyond a period after this one, in ns; negative to
     /// advance it. 0 if no frame has arrived since the last call.
     ///
     /// The result is at most one step towards the target, so that a single late frame has

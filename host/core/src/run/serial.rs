@@ -89,7 +89,7 @@ pub struct ReaderCounters {
 /// When to poll the serial reader again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReaderWait {
-    /// As soon as the port is readable.
+    /// Whether it ends as soon as the port is readable.
     pub readable: bool,
     /// At the latest.
     pub until_ns: u64,

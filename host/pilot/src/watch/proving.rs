@@ -40,7 +40,7 @@ const SIZE_AFTER: f64 = 0.17;
 const PROVED_AFTER: f64 = 0.3;
 /// Turn per turn that the steering should have made.
 const STEERING_RATIO: (f64, f64) = (0.65, 1.4);
-/// The same once the steering has made [`PROVED_AFTER`]: a wheelbase that is wrong by a quarter shows.
+/// The ratio once the steering has made [`PROVED_AFTER`]: a wheelbase that is wrong by a quarter shows.
 /// A gain that is wrong by a fifth drives on, and online calibration finds it.
 const PROVED_RATIO: (f64, f64) = (0.757, 1.29);
 /// Turn of the gyro per turn of the cameras.

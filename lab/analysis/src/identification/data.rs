@@ -419,8 +419,8 @@ impl DriveData {
         Some((fused, (variance * reach).sqrt()))
     }
 
-    /// By how much the time stamps of the gyro are late against those of the poses, in s: where what they
-    /// differ by does not go with the change of the yaw rate. Zero without a gyro.
+    /// The lateness of the gyro's time stamps against those of the poses, in s: where what they differ by
+    /// does not go with the change of the yaw rate. Zero without a gyro.
     fn gyro_delay(&self, spans: &[Span]) -> f64 {
         const STEPS: usize = 4;
         /// A longer delay is none of an IMU, in s.

@@ -7,17 +7,17 @@ use super::data::{Channel, DriveData, MEDIAN_OF_NORMAL, Span};
 /// Standard deviations of measurement and process noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseLevels {
-    /// Of each coordinate of a pose, in m.
+    /// Noise of each coordinate of a pose, in m.
     pub position_m: f64,
-    /// Of the yaw of a pose, in rad.
+    /// Noise of the yaw of a pose, in rad.
     pub yaw_rad: f64,
-    /// Of a sample of the gyro, in rad/s.
+    /// Noise of a sample of the gyro, in rad/s.
     pub yaw_rate_rad_s: f64,
-    /// Of a sample of the acceleration to the left, in m/s².
+    /// Noise of a sample of the acceleration to the left, in m/s².
     pub left_m_s2: f64,
-    /// Of the acceleration forward, as a density, in m/s²/√Hz.
+    /// Density of the noise of the acceleration forward, in m/s²/√Hz.
     pub forward_density: f64,
-    /// Of the unmodelled force on each axle, as a density, in N/√Hz.
+    /// Density of the unmodelled force on each axle, in N/√Hz.
     pub force_density: f64,
     /// Random walk of the gyro's bias, in rad/s/√s.
     pub gyro_walk: f64,

@@ -199,7 +199,7 @@ impl Values {
         self.values[parameter.index()]
     }
 
-    /// The same with another value of one parameter.
+    /// These values with another one of one parameter.
     #[must_use]
     pub const fn with(mut self, parameter: Parameter, value: f64) -> Self {
         self.values[parameter.index()] = value;

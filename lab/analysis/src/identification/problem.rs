@@ -29,7 +29,7 @@ pub(super) trait Problem {
         finite.then(|| DVector::from_vec(errors))
     }
 
-    /// As [`Self::residuals`], for an optimiser, which takes a step out of the model back. `count` is
+    /// [`Self::residuals`] for an optimiser, which takes a step out of the model back. `count` is
     /// their number.
     fn residuals_or_outside(&self, u: &[f64], count: usize) -> DVector<f64> {
         self.residuals(u)
@@ -45,7 +45,7 @@ pub(super) trait Problem {
         }
     }
 
-    /// The same with `N` derivatives, of which the first `u.len()` are used.
+    /// The Jacobian by `N` derivatives, of which the first `u.len()` are used.
     fn jacobian_of<const N: usize>(&self, u: &[f64]) -> Option<DMatrix<f64>> {
         let seeds: Vec<_> = u
             .iter()

@@ -39,7 +39,7 @@ pub enum Warning {
     Simulated {
         /// The normalised mean prediction error of the simulation.
         nmpe: f64,
-        /// The same with the parameters that predict best; none if there are none.
+        /// The error with the parameters that predict best; none if there are none.
         prediction: Option<f64>,
     },
     /// The board's periods that begin a servo pulse are uncertain: log-likelihood above that of the next

@@ -179,13 +179,13 @@ impl ClosedLoop {
         self.vehicle
     }
 
-    /// The same loop with other distances wrong.
+    /// This loop with other distances wrong.
     #[must_use]
     pub const fn believing(self, belief: Belief) -> Self {
         Self { belief, ..self }
     }
 
-    /// The same loop with tyres and steering that saturate.
+    /// This loop with tyres and steering that saturate.
     ///
     /// # Errors
     ///
@@ -204,7 +204,7 @@ impl ClosedLoop {
         Ok(Self { saturation, ..self })
     }
 
-    /// The same loop with the assumed centre of mass `deviation` (`dl`, m) behind its true
+    /// This loop with the assumed centre of mass `deviation` (`dl`, m) behind its true
     /// position.
     ///
     /// # Errors
@@ -214,7 +214,7 @@ impl ClosedLoop {
         Self { deviation, ..self }.checked()
     }
 
-    /// The same loop at another speed, in m/s.
+    /// This loop at another speed, in m/s.
     ///
     /// # Errors
     ///
@@ -223,7 +223,7 @@ impl ClosedLoop {
         Self { speed, ..self }.checked()
     }
 
-    /// The same loop with another distance p, in m.
+    /// This loop with another distance p, in m.
     ///
     /// # Errors
     ///

@@ -26,7 +26,7 @@ use super::{
 pub struct Lyapunov {
     /// In Kuznetsov's normalisation.
     pub kuznetsov: f64,
-    /// As `MatCont` prints it: ω times Kuznetsov's.
+    /// The coefficient that `MatCont` prints: ω times Kuznetsov's.
     pub matcont: f64,
 }
 

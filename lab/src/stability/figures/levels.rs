@@ -52,7 +52,7 @@ pub(super) fn around_one(grid: &Grid) -> Vec<Isoline> {
     isolines
 }
 
-/// Of the ascending candidates, those that divide the grid best: without almost empty
+/// The ascending candidates that divide the grid best: without almost empty
 /// bands between two of them or at the boundary, and not too many; with this many decimals.
 fn chosen(
     grid: &Grid,

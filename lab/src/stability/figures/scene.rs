@@ -27,7 +27,7 @@ pub(super) const SPEED: Axis = Axis::new("speed", Some(Symbol::new("v", "")), "m
 pub(super) const DEVIATION: Axis = Axis::new("deviation", Some(Symbol::new("dl", "")), "m");
 
 impl Scene {
-    /// Of a car under a law, with its Hopf points by speed and then by dl. Those at
+    /// The scene of a car under a law, with its Hopf points by speed and then by dl. Those at
     /// which stability does not end, as it is lost already, are not drawn.
     ///
     /// # Errors

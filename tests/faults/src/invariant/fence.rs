@@ -126,7 +126,7 @@ impl Invariant for Fence {
 /// from the car, and the lesser growth counts.
 #[derive(Default)]
 pub(super) struct EstimateError {
-    /// Of the arming: from the world, and from the car.
+    /// The error at the arming, as seen from the world and from the car.
     offset: Option<[[f64; 2]; 2]>,
     since_us: Option<u64>,
 }

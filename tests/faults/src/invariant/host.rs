@@ -234,7 +234,7 @@ const SLIDE_UNDERWAY: u64 = 500;
 /// The time before its deadline in which a frame may begin a tick, in ns: 3 ms, or less if the
 /// period is short.
 const WINDOW_NS: u64 = 3_000_000;
-/// The same as a part of the period.
+/// The largest part of the period that this is.
 const WINDOW_PART: (u64, u64) = (3, 10);
 
 /// `tick-grid`: the deadlines are a period apart, except for the slide towards the cameras. A
@@ -319,7 +319,7 @@ pub(super) struct CameraAlignment {
 }
 
 const CALM_US: u64 = 6_000_000;
-/// By the slide of a drive, 20 µs a tick, the grid moves 2 ms in this time.
+/// Time in which the grid moves by 2 ms, by the slide of a drive, 20 µs a tick.
 const SETTLING_US: u64 = 1_000_000;
 const AGE_NS: u64 = 1_000_000;
 

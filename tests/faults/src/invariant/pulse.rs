@@ -344,7 +344,8 @@ impl Invariant for KillOutput {
 /// The way that a contradiction may last, in m.
 const CONTRADICTED_M: f64 = 0.5;
 
-/// The same once the configuration has been proved: the servo has broken since.
+/// The way that a contradiction may last once the configuration has been proved: the servo has broken
+/// since, in m.
 const BROKEN_M: f64 = 1.2;
 
 /// The way driven while something is contradicted.

@@ -92,7 +92,7 @@ kinds! {
     /// Somebody sends frames between the server's, from its own address, with the car off
     /// by s mm.
     CameraSpoofed = "camera-spoofed", Cameras;
-    /// The same with the next frame's number, so that the true frame seems a repetition, and
+    /// A spoofed frame with the next frame's number, so that the true frame seems a repetition, and
     /// with the car drifting away by s mm/s.
     CameraForged = "camera-forged", Cameras;
     /// All packets come from another address: the server has a second network card.

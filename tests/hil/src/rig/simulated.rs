@@ -34,7 +34,7 @@ impl SimulatedRig {
         Self::with_cameras(link, seed, board, car_id, ServerKind::NatNet)
     }
 
-    /// The same with cameras whose server speaks this.
+    /// A rig with cameras whose server speaks this.
     ///
     /// # Errors
     ///

@@ -110,7 +110,7 @@ fn files() -> Vec<PathBuf> {
 /// The UNO image's use of its processor, from power-on to the end.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct BoardFigures {
-    /// Of 32,256 B beside the bootloader.
+    /// Use of the 32,256 B beside the bootloader.
     pub(super) flash_bytes: u64,
     /// Variables and the deepest stack, of 2,048 B.
     pub(super) sram_bytes: u64,

@@ -36,7 +36,7 @@ use crate::interrupt::Interrupt;
 /// the lead of a car before the last one, as a fraction of the angle between their circles. The
 /// circles cross and the cars yield. More cars would block each other.
 const CROSSING: (usize, f64, f64) = (3, 1.8, 0.5);
-/// The same for more.
+/// Distance and lead in a larger fleet.
 const APART: (f64, f64) = (2.0, 0.0);
 /// From the ring of the circles' centres to the geofence, in m.
 const FLOOR: f64 = 3.0;

@@ -38,9 +38,9 @@ struct DemoSummary<'a> {
     /// What is measured in real time only.
     #[serde(flatten)]
     daemon: Option<&'a Summary>,
-    /// Of the last full turn.
+    /// Errors of the last full turn.
     tracking: Option<Tracking>,
-    /// Of the whole drive.
+    /// Root mean square of the error in the whole drive.
     rms_error_m: Option<f64>,
     /// What theory expects of it.
     expected: settings::Expected,

@@ -24,7 +24,7 @@ pub(super) const RADIUS: f64 = 1.0;
 pub(super) const ANGULAR_VELOCITY: f64 = 0.5;
 /// The paper's distance p, in m.
 pub(super) const POINT_DISTANCE: f64 = 0.35;
-/// Of the proportional loop, per second, in both axes.
+/// Gain of the proportional loop, per second, in both axes.
 const GAIN: f64 = 1.0;
 /// Where P and the car start: position in m, yaw in degrees.
 const START_POINT: [f64; 2] = [1.5, -0.5];

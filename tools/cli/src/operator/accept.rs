@@ -164,7 +164,7 @@ fn check(path: &Path, config: &Config) -> Result<String, Box<dyn Error>> {
 /// A gross error is this many half widths.
 const SURE: f64 = 3.0;
 
-/// As [`deviation`], but an error so large that it shows although no interval can be relied on is said
+/// The [`deviation`]; an error so large that it shows although no interval can be relied on is said
 /// without one.
 fn said(estimate: &CalibrationEstimate) -> String {
     let off = estimate.value.abs();

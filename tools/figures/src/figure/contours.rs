@@ -215,7 +215,7 @@ mod tests {
         Sheet::new(&grid, &ruler(4.0), &ruler(2.0))
     }
 
-    /// Of a ring less the others, which are within it.
+    /// The area of a ring less the others, which are within it.
     fn area(rings: &[Piece]) -> f64 {
         let ring = |ring: &Piece| -> f64 {
             let edges = ring.windows(2);

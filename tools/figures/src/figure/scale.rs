@@ -8,7 +8,7 @@ pub enum Scale {
     /// Evenly.
     #[default]
     Linear,
-    /// By their logarithm: decades are as long as each other. Values above zero only.
+    /// Logarithmic: decades are as long as each other. Values above zero only.
     Log,
 }
 

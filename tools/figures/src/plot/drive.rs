@@ -390,7 +390,7 @@ pub(super) fn distance(one: [f64; 2], other: [f64; 2]) -> f64 {
 /// How many usual intervals between new poses may pass: one tick without a pose is
 /// the beat of two clocks, two are a loss.
 const INTERVALS: f64 = 2.5;
-/// The same for ticks that had no word of the cameras either: frames that are merely
+/// Intervals without a pose for ticks that had no word of the cameras either: frames that are merely
 /// late are not a loss.
 const SILENT_INTERVALS: f64 = 5.5;
 

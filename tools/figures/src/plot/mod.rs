@@ -67,7 +67,7 @@ pub struct PlotArgs {
 pub enum PlotFormat {
     /// A file for each figure, in the size of a paper's column.
     Svg,
-    /// The same for the screen, twice as large and light or dark as the browser: `screen/*.svg`.
+    /// SVG for the screen, twice as large and light or dark as the browser: `screen/*.svg`.
     Screen,
     /// `report.html`: all figures and the summary, to look around in.
     Html,

@@ -71,7 +71,7 @@ impl Record {
         Ok(record)
     }
 
-    /// Of a law that believes another front axle than the vehicle has, P is where the vehicle's puts it.
+    /// Places P where the vehicle's front axle puts it, if the law believes another one.
     fn place_points(&mut self) {
         let drives = self.recording.drives.iter();
         let aside: Vec<f64> = drives
@@ -92,7 +92,7 @@ impl Record {
         }
     }
 
-    /// By how much the law believes the front axle to be farther ahead than the vehicle's, in m.
+    /// The distance by which the law believes the front axle to be ahead of the vehicle's, in m.
     fn axle_error(&self, drive: &Drive) -> Option<f64> {
         let configuration: toml::Table = self.configuration(drive)?.parse().ok()?;
         let distance = |section: &str| {

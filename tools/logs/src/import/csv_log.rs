@@ -132,7 +132,7 @@ struct Clock {
 }
 
 impl Clock {
-    /// Of a section that [is one for rows](TimeSection::check_rows).
+    /// The clock of a section that [is one for rows](TimeSection::check_rows).
     fn find(table: &Table<'_>, time: &TimeSection) -> Result<Self, ImportError> {
         let column = time.column.as_deref().unwrap_or_default();
         Ok(Self {

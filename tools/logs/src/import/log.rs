@@ -136,7 +136,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of samples at these times, which are in order.
+    /// Arrivals of samples at these times, which are in order.
     pub(super) fn arrivals(times_ns: impl Iterator<Item = u64>) -> Arrivals {
         let mut arrivals = Arrivals::default();
         for time_ns in times_ns {

@@ -22,7 +22,7 @@ pub(super) trait Header {
         column: &str,
     ) -> Result<Place, ImportError>;
 
-    /// As [`find`](Self::find), of a key that may be left out.
+    /// [`find`](Self::find) for a key that may be left out.
     fn find_if(
         &mut self,
         key: &'static str,

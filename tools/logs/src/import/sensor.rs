@@ -144,7 +144,7 @@ impl<const N: usize> Sensor<N> {
 /// Regular exposures behind messages that come with a jitter.
 struct Exposures {
     period_ns: f64,
-    /// Of the last row.
+    /// Time of the last row.
     last_ns: Option<f64>,
 }
 

@@ -23,7 +23,7 @@ pub struct Times {
 }
 
 impl Times {
-    /// Of times in order, in ns; none of fewer than ten.
+    /// The statistics of times in order, in ns; none for fewer than ten.
     pub(super) fn of(times_ns: &[u64]) -> Option<Self> {
         let intervals: Vec<f64> = times_ns
             .windows(2)

@@ -26,9 +26,9 @@ pub(super) const START_S: i32 = 1_700_000_000;
 pub(super) enum Storage {
     /// With definitions, and with chunks that are compressed.
     Mcap,
-    /// As ROS 2 stores it since Iron, with definitions.
+    /// The file of ROS 2 since Iron, with definitions.
     Sqlite,
-    /// As ROS 2 stored it before, without definitions.
+    /// The file of ROS 2 before, without definitions.
     OldSqlite,
 }
 

@@ -15,13 +15,13 @@ use super::{
     expecting = "use a word, a number, a list of numbers, true or false"
 )]
 pub enum FaultValue {
-    /// Of a switch.
+    /// State of a switch.
     Switch(bool),
-    /// Of an amount, in the unit that the fault's name ends with.
+    /// An amount, in the unit that the fault's name ends with.
     Number(f64),
-    /// Of a displacement.
+    /// A displacement.
     Numbers(Vec<f64>),
-    /// Of a kind.
+    /// The word for a kind.
     Word(String),
 }
 

@@ -145,16 +145,16 @@ pub struct ScenarioRun {
     least_s: f64,
     start_us: u64,
     tally: Tally,
-    /// As the pilot has begun it.
+    /// The reference that the pilot has begun.
     reference: Reference,
-    /// Of the reference.
+    /// Clock of the reference.
     path: PathClock,
     calibration: Option<OnlineCalibration>,
     /// Number of the next row.
     next_row: u64,
     /// When the car ceased to follow its reference, in words.
     ended: Option<String>,
-    /// Of P from the reference, in the rows of the drive, in m.
+    /// Distances of P from the reference, in the rows of the drive, in m.
     distances: Vec<f64>,
 }
 

@@ -212,7 +212,7 @@ impl MarkerLoss {
 /// An upper bound of the ticks of any simulation.
 const TICKS: Worded = in_words("at most 1000000000", |ticks| ticks <= 1e9);
 
-/// Of a period, in ms, and of a delay, in ticks.
+/// The bound of a period, in ms, and of a delay, in ticks.
 const AT_MOST_1000: Worded = in_words("at most 1000", |value| value <= 1_000.0);
 
 /// What is done with each section of the daemon's configuration but `[control]`.

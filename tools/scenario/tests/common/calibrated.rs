@@ -24,7 +24,7 @@ pub(crate) struct CalibratedCar {
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ended {
-    /// By request, and the car can be armed again.
+    /// The request ended it, and the car can be armed again.
     AsRequested,
     /// For another reason.
     Alarm(&'static str),

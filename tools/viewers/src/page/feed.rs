@@ -53,7 +53,7 @@ const LINGER: Duration = Duration::from_secs(5);
 pub struct OtherCar {
     /// The control socket of its daemon.
     pub socket: PathBuf,
-    /// As CSS writes it.
+    /// Colour as CSS writes it.
     pub colour: Option<String>,
 }
 

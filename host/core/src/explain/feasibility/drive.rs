@@ -351,7 +351,7 @@ const STEERING_RESERVE: f64 = 0.97;
 pub(super) struct SteadyCircle {
     /// Radius of P: smaller than that of the reference without feed-forward, m.
     point: f64,
-    /// The same as a factor.
+    /// Radius of P over that of the reference.
     factor: f64,
     /// Angular velocity, rad/s.
     rate: f64,

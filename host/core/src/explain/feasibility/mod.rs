@@ -66,12 +66,12 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// Of a value that should be looked at.
+    /// A finding about a value that should be looked at.
     pub fn warning(key: &'static str, value: impl fmt::Display, fix: impl Into<String>) -> Self {
         Self::new(Severity::Warning, key, value, fix)
     }
 
-    /// Of a value with which the car can't do what is asked.
+    /// A finding about a value with which the car can't do what is asked.
     fn impossible(key: &'static str, value: impl fmt::Display, fix: impl Into<String>) -> Self {
         Self::new(Severity::Impossible, key, value, fix)
     }

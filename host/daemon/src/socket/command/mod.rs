@@ -108,9 +108,9 @@ impl From<Refused> for ParseError {
 pub struct Arm {
     /// Who attends the drive.
     pub attendance: Attendance,
-    /// Of a held drive: the longest time between two renewals, if it is shorter than the pilot's.
+    /// The longest time between two renewals of a held drive, if it is shorter than the pilot's.
     pub hold: Option<Duration>,
-    /// Of a held drive: when its reference begins, on `CLOCK_MONOTONIC`.
+    /// When the reference of a held drive begins, on `CLOCK_MONOTONIC`.
     pub start_ns: Option<u64>,
     /// Whether the car may drive without having passed doctor, bring-up and calibrate.
     pub uncalibrated: bool,

@@ -45,7 +45,7 @@ struct Response {
 }
 
 impl Response {
-    /// As `Predictor` of the control crate has it, for small angles.
+    /// The response of the control crate's `Predictor`, for small angles.
     fn of(vehicle: &VehicleParameters, speed: f64) -> Self {
         let [m, inertia, l_f, l_r, c_f, c_r] = symbols(vehicle);
         let (wheelbase, square) = (vehicle.wheelbase_m(), speed * speed);

@@ -196,7 +196,7 @@ impl SampledLoop {
         })
     }
 
-    /// The same timing around another steady motion.
+    /// This timing around another steady motion.
     #[must_use]
     pub const fn around(mut self, closed_loop: ClosedLoop) -> Self {
         self.closed_loop = closed_loop;

@@ -121,9 +121,9 @@ fn slope(vehicle: &VehicleParameters, speed: f64, variable: usize) -> [f64; 4] {
 /// as a younger one. Yaw and the velocity of G are predicted to the tick; their angle is the sideslip.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ages {
-    /// Of the yaw rate.
+    /// Age of the yaw rate, in s.
     pub yaw_rate: f64,
-    /// Of the sideslip.
+    /// Age of the sideslip, in s.
     pub sideslip: f64,
 }
 

@@ -102,7 +102,7 @@ pub(crate) struct LiveBench {
     interrupt: Interrupt,
     /// The text of the configuration at the start, for the page.
     before: Edit,
-    /// The same now.
+    /// The text of the configuration now.
     known: Edit,
     /// Begin of the paths of pictures.
     pictures: PathBuf,

@@ -152,7 +152,7 @@ pub(super) struct Bucket {
 }
 
 impl Durations {
-    /// Of durations in microseconds; none if there are none.
+    /// The distribution of durations in microseconds; none if there are none.
     fn of(durations_us: &[f64]) -> Option<Self> {
         let durations = Distribution::of(durations_us.iter().copied());
         Some(Self {

@@ -162,7 +162,7 @@ impl Deviations {
         ]);
     }
 
-    /// Of each quantity, by name.
+    /// Deviation of each quantity, by name.
     pub fn quantities(&self) -> impl Iterator<Item = (&'static str, &Deviation)> {
         QUANTITIES
             .iter()

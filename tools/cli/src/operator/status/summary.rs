@@ -18,7 +18,7 @@ pub(super) struct Summary {
 }
 
 impl Summary {
-    /// Of an answer to `status`.
+    /// Summary of an answer to `status`.
     pub(super) const fn of(status: Status) -> Self {
         Self { status }
     }

@@ -13,7 +13,7 @@ use crate::figure::{
     typeset::{self, TEXT_SIZE},
 };
 
-/// Of an area's edge nothing smaller than this can be seen, in mm.
+/// Nothing smaller than this can be seen of an area's edge, in mm.
 const TOLERANCE: f64 = 0.02;
 /// A label that would read downwards more steeply than this reads upwards, in rad.
 const STEEP: f64 = 1.4;

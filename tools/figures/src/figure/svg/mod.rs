@@ -22,8 +22,8 @@ use super::{
 
 /// Nothing smaller than this can be seen, in mm.
 const TOLERANCE: f64 = 0.03;
-/// Of a line that only goes to the right, no more is drawn in a column of this
-/// width than its extremes, in mm.
+/// Width of a column in which a line that only goes to the right is drawn by its
+/// extremes, in mm.
 const COLUMN: f64 = 0.1;
 const FAINT: &str = "#dedede";
 const SHADE: &str = "#f1dfb6";
@@ -39,7 +39,7 @@ impl Figure {
         self.draw(size, "")
     }
 
-    /// The same for the screen: twice as large, in the colours of the reports.
+    /// The figure for the screen: twice as large, in the colours of the reports.
     pub fn to_screen_svg(&self) -> String {
         // It is as high as the view box says.
         let size = |[width, _]: [f64; 2]| {

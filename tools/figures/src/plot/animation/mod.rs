@@ -128,9 +128,9 @@ const BAR_PX: f64 = 60.0;
 
 /// What the picture shows, at equal intervals of time.
 struct Frames {
-    /// Of all of it, in s, with the pause at the end.
+    /// Duration of all of it, in s, with the pause at the end.
     duration: f64,
-    /// Of the drive, in s.
+    /// Duration of the drive, in s.
     driven: f64,
     step: f64,
     car: Vec<[f64; 2]>,

@@ -10,7 +10,7 @@ use crate::{figure::trimmed, output::fill};
 
 /// The car and its geofence, by the configuration.
 pub(super) struct Scene {
-    /// Of the body, in m.
+    /// Length of the body, in m.
     pub(super) length: f64,
     width: f64,
     /// From the centre of mass, as the law believes it, in m.

@@ -38,11 +38,11 @@ pub(super) struct Field {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Bool,
-    /// Of this many bytes.
+    /// Unsigned integer of this many bytes.
     Unsigned(usize),
-    /// Of this many bytes.
+    /// Signed integer of this many bytes.
     Signed(usize),
-    /// Of this many bytes.
+    /// Floating-point number of this many bytes.
     Float(usize),
     Text,
     /// One of [`Definition::messages`].
