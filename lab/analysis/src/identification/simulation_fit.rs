@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, DVector};
 use super::{
     data::{self, Channel, GyroScale, ServoFrames, ServoTarget, Span},
     error::IdentificationError,
+    filter::FilterRun,
     fit::{Fit, Task},
     model::Model,
     noise::NoiseLevels,
@@ -23,15 +24,20 @@ use crate::dual::Dual;
 
 /// Errors of the simulation farther apart than this count as independent, in s.
 const BLOCK: f64 = 2.0;
-/// The filter runs so often: its speed and biases hardly depend on the parameters near the minimum, but
-/// that little can make the fit swing.
-const FILTER_RUNS: usize = 4;
+/// The filter, whose speed and biases depend on the parameters, runs again at most so often.
+const FILTER_RUNS: usize = 20;
+/// The parts of the way to the minimum with one run of the filter, of which the first is taken with which
+/// the cost falls with another run.
+const PARTS: [f64; 3] = [1.0, 0.5, 0.25];
+/// The cost may fail to fall so often: a run of the filter later it may be lower than before.
+const PATIENCE: usize = 3;
+/// The fit ends where the cost falls by less than this: 0.14 standard deviations.
+const FALL: f64 = 0.01;
 /// The largest number of steps with one run of the filter.
 const STEPS: usize = 60;
-/// The last step with the last run of the filter is below this, in standard deviations.
-const SETTLED: f64 = 0.01;
-/// The last step with an earlier run is below this: the next run moves the minimum by more.
-const ROUGHLY: f64 = 0.5;
+/// The last step with one run of the filter is below this, in standard deviations: the next run moves the
+/// minimum by more.
+const SETTLED: f64 = 0.5;
 /// A start that comes so near to the way of an earlier one goes on like that, in standard deviations.
 const JOINED: f64 = 1.0;
 /// The damping of the first step, in shares of the curvature of the squares.
@@ -174,8 +180,8 @@ impl Simulated<'_> {
     }
 
     /// From `u` to the minimum by Newton's steps, damped where the cost would not fall, until one is below
-    /// `settled` standard deviations.
-    fn minimise(&self, u: &[f64], settled: f64) -> Option<Minimum> {
+    /// [`SETTLED`].
+    fn minimise(&self, u: &[f64]) -> Option<Minimum> {
         let mut u = DVector::from_column_slice(u);
         let mut cost = self.cost(u.as_slice())?;
         let mut damping = DAMPING;
@@ -201,14 +207,12 @@ impl Simulated<'_> {
                     break None;
                 }
             };
-            let moved = moved.filter(|moved| *moved >= settled);
+            let moved = moved.filter(|moved| *moved >= SETTLED);
             if moved.is_none() || step == STEPS {
                 let variances = squares.cholesky()?.inverse().diagonal();
                 return Some(Minimum {
                     u: u.as_slice().to_vec(),
-                    cost,
                     deviations: variances.iter().map(|one| one.sqrt()).collect(),
-                    unsettled: moved,
                 });
             }
             step += 1;
@@ -232,11 +236,8 @@ type Way = Vec<Vec<f64>>;
 /// Where the cost is least.
 struct Minimum {
     u: Vec<f64>,
-    cost: Cost,
     /// Standard deviations near there.
     deviations: Vec<f64>,
-    /// The last step in standard deviations, if it was not reached.
-    unsettled: Option<f64>,
 }
 
 impl Minimum {
@@ -324,65 +325,105 @@ impl Task<'_> {
     /// that ends at no minimum is not among these: each start fails by itself.
     fn descend(
         &self,
-        mut u: Vec<f64>,
+        u: Vec<f64>,
         ways: &[Way],
         servo: &[ServoTarget],
         seen: &[[f64; 2]],
         scale: Option<GyroScale>,
         noise: &NoiseLevels,
     ) -> Result<Option<(f64, Fit, Way)>, IdentificationError> {
-        let mut way = Way::new();
-        for number in 0..FILTER_RUNS {
-            let is_last = number + 1 == FILTER_RUNS;
+        let at = |u: Vec<f64>| {
             let run = self.run_filter(servo, &u, noise)?;
-            let problem = Simulated {
-                task: self,
-                inputs: Inputs {
-                    data: self.data,
-                    servo,
-                    spans: self.spans,
-                    run: &run,
-                },
-                scale,
-                sizes: [1.0; 3],
-                seen,
-                measures: [Channel::YawRate, Channel::Left].map(|one| self.data.measures(one)),
+            let cost = self.simulated(servo, seen, scale, &run).cost(&u);
+            let cost = cost.ok_or_else(|| self.diverged(&u))?;
+            Ok((u, run, cost))
+        };
+        let (mut u, mut run, mut cost) = at(u)?;
+        // From minimum to minimum, of which the best counts: on the way the cost may rise.
+        let mut best = (cost.value, u.clone());
+        let mut way = Way::new();
+        let mut vain = 0;
+        for _ in 0..FILTER_RUNS {
+            let problem = self.simulated(servo, seen, scale, &run);
+            let Some(least) = problem.minimise(&u) else {
+                break;
             };
-            let settled = if is_last { SETTLED } else { ROUGHLY };
-            let least = problem.minimise(&u, settled);
-            let least = least.ok_or_else(|| self.diverged(&u))?;
-            let mut others = ways.iter().filter_map(|way| way.get(number));
+            let mut others = ways.iter().flatten();
             if others.any(|other| least.distance(other) < JOINED) {
                 return Ok(None);
             }
             way.push(least.u.clone());
-            if is_last {
-                let times: Vec<f64> = least
-                    .cost
-                    .errors
-                    .iter()
-                    .map(|((_, time), _)| *time)
-                    .collect();
-                let weighed = Simulated {
-                    sizes: least.cost.sizes,
-                    ..problem
-                };
-                let spread = spread(&weighed, &least.u, &times, BLOCK);
-                let spread = spread.ok_or_else(|| self.diverged(&least.u))?;
-                let fit = Fit {
-                    values: self.values(&least.u),
-                    u: least.u,
-                    noise: *noise,
-                    frames: ServoFrames::Every,
-                    spread,
-                    lead: f64::INFINITY,
-                    unsettled: least.unsettled,
-                    run,
-                };
-                return Ok(Some((least.cost.value, fit, way)));
+            let Ok(next) = at(least.u) else {
+                break;
+            };
+            (u, run, cost) = next;
+            vain += 1;
+            if cost.value < best.0 - FALL {
+                best = (cost.value, u.clone());
+                vain = 0;
             }
-            u = least.u;
+            if vain == PATIENCE {
+                break;
+            }
         }
-        Ok(None)
+        // From there on it falls.
+        (u, run, cost) = at(best.1)?;
+        let mut unsettled = None;
+        for _ in 0..FILTER_RUNS {
+            let problem = self.simulated(servo, seen, scale, &run);
+            let least = problem.minimise(&u).ok_or_else(|| self.diverged(&u))?;
+            let next = PARTS.iter().find_map(|part| {
+                let steps = u.iter().zip(&least.u);
+                let next = steps.map(|(u, least)| u + part * (least - u)).collect();
+                let next = at(next).ok();
+                next.filter(|(.., there)| there.value < cost.value - FALL)
+            });
+            unsettled = next.is_some().then(|| least.distance(&u));
+            let Some(next) = next else {
+                break;
+            };
+            (u, run, cost) = next;
+        }
+        let times: Vec<f64> = cost.errors.iter().map(|((_, time), _)| *time).collect();
+        let weighed = Simulated {
+            sizes: cost.sizes,
+            ..self.simulated(servo, seen, scale, &run)
+        };
+        let spread = spread(&weighed, &u, &times, BLOCK);
+        let spread = spread.ok_or_else(|| self.diverged(&u))?;
+        let fit = Fit {
+            values: self.values(&u),
+            u,
+            noise: *noise,
+            frames: ServoFrames::Every,
+            spread,
+            lead: f64::INFINITY,
+            unsettled,
+            run,
+        };
+        Ok(Some((cost.value, fit, way)))
+    }
+
+    /// The simulation of the drive with this run of the filter.
+    fn simulated<'a>(
+        &'a self,
+        servo: &'a [ServoTarget],
+        seen: &'a [[f64; 2]],
+        scale: Option<GyroScale>,
+        run: &'a FilterRun,
+    ) -> Simulated<'a> {
+        Simulated {
+            task: self,
+            inputs: Inputs {
+                data: self.data,
+                servo,
+                spans: self.spans,
+                run,
+            },
+            scale,
+            sizes: [1.0; 3],
+            seen,
+            measures: [Channel::YawRate, Channel::Left].map(|one| self.data.measures(one)),
+        }
     }
 }

@@ -172,16 +172,44 @@ fn a_short_drive_and_a_slow_drive_cause_a_warning() {
     );
 }
 
-#[test]
-fn a_car_that_the_model_does_not_describe_is_identified_by_its_simulation() {
-    let course = Course::weaving(18, 21.0);
+/// A drive in which the body sways on its springs: what it measures is neither noise nor the model's motion.
+fn swaying(course: &Course) -> DriveData {
     let mut data = course.drive();
     for (index, sample) in data.inertial.iter_mut().enumerate() {
-        // A body that sways on its springs: what it measures is neither noise nor the model's motion.
         let wave = (0.037 * index as f64).sin();
         sample.left_m_s2 += 1.5 * wave;
         sample.yaw_rate_rad_s += 0.3 * wave;
     }
+    data
+}
+
+#[test]
+fn a_fit_by_simulation_finds_the_delays_that_its_filter_uses_as_well() {
+    let course = Course {
+        speed: [1.6, 0.9],
+        trim: 0.05,
+        ..real_sensors(18, 60.0)
+    };
+    let settings = Settings {
+        criterion: Some(Criterion::Simulation),
+        ..Settings::default()
+    };
+    let found = identify(&swaying(&course), &wrong(), &settings).unwrap();
+    for estimate in &found.estimates {
+        let [low, high] = estimate.interval;
+        let truth = truth(&course, estimate.parameter);
+        assert!(
+            (low..=high).contains(&truth),
+            "{}: {low} to {high}, true {truth}",
+            estimate.parameter
+        );
+    }
+}
+
+#[test]
+fn a_car_that_the_model_does_not_describe_is_identified_by_its_simulation() {
+    let course = Course::weaving(18, 21.0);
+    let data = swaying(&course);
     let found = identify(&data, &wrong(), &Settings::default()).unwrap();
     assert_eq!(
         found.criterion,
