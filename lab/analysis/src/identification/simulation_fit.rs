@@ -5,6 +5,9 @@
 //! This fit leaves yaw rate and sideslip of the model alone for the whole stretch, as
 //! [`super::simulation`] does, and minimises the product of the root mean squares of its errors. They are
 //! correlated over seconds: all of an output within [`BLOCK`] count as one beside the prior.
+//!
+//! Speed and biases are those of a filter, which depends on the parameters: the cost of a point is that with
+//! a run of the filter there.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -26,8 +29,8 @@ use crate::dual::Dual;
 const BLOCK: f64 = 2.0;
 /// The filter, whose speed and biases depend on the parameters, runs again at most so often.
 const FILTER_RUNS: usize = 20;
-/// The parts of the way to the minimum with one run of the filter, of which the first is taken with which
-/// the cost falls with another run.
+/// Parts of the way to the minimum with the last run of the filter: the first one where the cost is lower
+/// is gone.
 const PARTS: [f64; 3] = [1.0, 0.5, 0.25];
 /// The cost may fail to fall so often: a run of the filter later it may be lower than before.
 const PATIENCE: usize = 3;
