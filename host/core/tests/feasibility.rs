@@ -1,11 +1,5 @@
 //! The judgement of what a car can do: references, limits and the geofence.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "the helpers of tests may fail as tests do"
-)]
-
 use core::f64::consts::PI;
 
 use crate::simulated_drive::SimulatedDrive;

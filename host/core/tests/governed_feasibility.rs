@@ -1,11 +1,5 @@
 //! The judgement of what a car with a governor can do.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "the helpers of tests may fail as tests do"
-)]
-
 use singletrack_core::feasibility::{Finding, Judgement, Severity};
 
 use crate::feasibility::{circle, found, only, own, square};

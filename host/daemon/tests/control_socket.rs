@@ -1,11 +1,5 @@
 //! The control socket of a daemon without board and cameras.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "the helpers of tests may fail as tests do"
-)]
-
 use std::{
     fs,
     io::{BufRead, BufReader, Write},

@@ -207,7 +207,7 @@ impl Host {
         }
     }
 
-    /// The supervisor hears what the pilot would tell it of what the daemon tells the pilot.
+    /// Passes an event of the link to the supervisor, as the pilot does.
     fn handle(&mut self, event: &LinkEvent) {
         match pilot_event(event) {
             Some(Event::Board(sample)) => {

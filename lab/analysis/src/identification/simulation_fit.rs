@@ -32,7 +32,7 @@ const FILTER_RUNS: usize = 20;
 /// Parts of the way to the minimum with the last run of the filter: the first one where the cost is lower
 /// is gone.
 const PARTS: [f64; 3] = [1.0, 0.5, 0.25];
-/// The cost may fail to fall so often: a run of the filter later it may be lower than before.
+/// The cost may be above the least one so often in a row: a run of the filter later it may be below.
 const PATIENCE: usize = 3;
 /// The fit ends where the cost falls by less than this: 0.14 standard deviations.
 const FALL: f64 = 0.01;
@@ -345,7 +345,7 @@ impl Task<'_> {
         // From minimum to minimum, of which the best counts: on the way the cost may rise.
         let mut best = (cost.value, u.clone());
         let mut way = Way::new();
-        let mut vain = 0;
+        let mut rises = 0;
         for _ in 0..FILTER_RUNS {
             let problem = self.simulated(servo, seen, scale, &run);
             let Some(least) = problem.minimise(&u) else {
@@ -360,16 +360,16 @@ impl Task<'_> {
                 break;
             };
             (u, run, cost) = next;
-            vain += 1;
+            rises += 1;
             if cost.value < best.0 - FALL {
                 best = (cost.value, u.clone());
-                vain = 0;
+                rises = 0;
             }
-            if vain == PATIENCE {
+            if rises == PATIENCE {
                 break;
             }
         }
-        // From there on it falls.
+        // From there on it falls. Where the model describes the car badly, only parts of the way lead down.
         (u, run, cost) = at(best.1)?;
         let mut unsettled = None;
         for _ in 0..FILTER_RUNS {

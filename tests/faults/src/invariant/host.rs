@@ -234,7 +234,7 @@ const SLIDE_UNDERWAY: u64 = 500;
 /// The time before its deadline in which a frame may begin a tick, in ns: 3 ms, or less if the
 /// period is short.
 const WINDOW_NS: u64 = 3_000_000;
-/// The largest part of the period that this is.
+/// The most that this time may be, as a part of the period.
 const WINDOW_PART: (u64, u64) = (3, 10);
 
 /// `tick-grid`: the deadlines are a period apart, except for the slide towards the cameras. A
