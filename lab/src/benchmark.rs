@@ -13,10 +13,10 @@ use clap::Args;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use singletrack_analysis::identification::{Parameter, SimulationPoint};
+use singletrack_control::statistics::RootMeanSquare;
 use singletrack_core::Config;
 use singletrack_figures::output::print;
 use singletrack_logs::import::import;
-use singletrack_statistics::RootMeanSquare;
 
 use crate::{
     Format, Result,

@@ -4,8 +4,8 @@
 //! that has to be believed, and never a reason to believe less.
 
 use singletrack_control::Time;
+use singletrack_control::statistics::Line;
 use singletrack_core::config::EstimatorSection;
-use singletrack_statistics::Line;
 
 use super::fit::{mean, median};
 use crate::{Inertial, Interval, Parameter};
@@ -291,8 +291,8 @@ fn windows(run: &[[f64; 2]], period: f64) -> Vec<[f64; 2]> {
 
 #[cfg(test)]
 mod tests {
+    use singletrack_control::statistics::Random;
     use singletrack_core::Config;
-    use singletrack_statistics::Random;
 
     use super::*;
 

@@ -45,6 +45,7 @@ mod riccati;
 mod safety_filter;
 mod setpoint;
 mod single_track;
+pub mod statistics;
 mod steering_map;
 mod stop;
 mod tracking;

@@ -111,7 +111,7 @@ mod tests {
     fn drive(acceleration: f64, turn: f64) -> DriveNoise {
         let estimator = estimator();
         let mut noise = DriveNoise::default();
-        let mut random = singletrack_statistics::Random::new(1);
+        let mut random = singletrack_control::statistics::Random::new(1);
         let mut random = || random.normal(1.0);
         for index in 0..1_000_u64 {
             let motion = (TAU * 0.005 * index as f64).sin();

@@ -7,9 +7,12 @@ use singletrack_core::LineCounters;
 use singletrack_mocap::planar::PlanarCounters as MocapCounters;
 use singletrack_pilot::{Event, Mode};
 use singletrack_record::TickRecord;
-use singletrack_statistics::{DurationHistogram, Percentiles};
 
-use crate::{realtime::RealTimeStatus, socket::SetpointFigures};
+use crate::{
+    durations::{DurationHistogram, Percentiles},
+    realtime::RealTimeStatus,
+    socket::SetpointFigures,
+};
 
 /// The figures of a run at its end, and its record.
 #[derive(Clone, Debug, Serialize)]

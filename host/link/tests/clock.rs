@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
 
 use proptest::{prelude::*, test_runner::FileFailurePersistence};
+use singletrack_control::statistics::Random;
 use singletrack_link::{BoardClock, Stamp, StampOutcome};
-use singletrack_statistics::Random;
 
 /// A board whose clock runs `skew` fast, first stamped `first_us`, heard with
 /// up to `jitter_ns` of delay.

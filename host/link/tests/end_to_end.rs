@@ -3,9 +3,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use proptest::{prelude::*, test_runner::FileFailurePersistence};
+use singletrack_control::statistics::Random;
 use singletrack_link::{DriveCommand, Event, LossCause, RestartEvidence, Session, State};
 use singletrack_protocol::{BoardMode, Configuration, Request};
-use singletrack_statistics::Random;
 
 use crate::{Faults, MS, START_NS, TestBoard, Wire, configuration, session_config};
 

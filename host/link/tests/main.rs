@@ -16,6 +16,7 @@ mod requests;
 use std::{collections::VecDeque, num::NonZeroU32};
 
 use singletrack_board::{Board, ImuSample, Inputs, Outputs};
+use singletrack_control::statistics::Random;
 use singletrack_link::{Event, Session, SessionConfig, State};
 use singletrack_protocol::{
     Acknowledgement, BoardMode, Configuration, Configure, Decoder, EscCalibration, EscKind,
@@ -23,7 +24,6 @@ use singletrack_protocol::{
     RefusalReason, Request, ResetCause, Sequence, ServoCalibration, SpeedLoop, StopCause,
     Telemetry, ToBoard, ToHost, UNNAMED, VERSION,
 };
-use singletrack_statistics::Random;
 
 pub(crate) const MS: u64 = 1_000_000;
 pub(crate) const START_NS: u64 = 500_000 * MS;

@@ -7,11 +7,11 @@
 use singletrack_analysis::stability::{
     Ages, ClosedLoop, Compensation, Law, SampledLoop, Servo, Timing,
 };
+use singletrack_control::statistics::Random;
 use singletrack_control::{
     ActuatorModel, Estimate, FrontPointLaw, Motion, Position, Predictor, Time, VehicleParameters,
     Velocity,
 };
-use singletrack_statistics::Random;
 
 const STEP: f64 = 0.000_25;
 const STEPS_PER_TICK: usize = 40;

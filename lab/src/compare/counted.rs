@@ -2,11 +2,11 @@
 
 use libm::{cos, hypot, sin};
 use serde::{Deserialize, Serialize};
+use singletrack_control::statistics::{Distribution, RootMeanSquare};
 use singletrack_control::{GRAVITY, LawError, Position, VehicleParameters, velocity_point};
 use singletrack_core::ConfigError;
 use singletrack_scenario::virtual_drive::VirtualDriveError;
 use singletrack_sim::Truth;
-use singletrack_statistics::{Distribution, RootMeanSquare};
 
 use super::course::Table;
 

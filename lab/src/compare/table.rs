@@ -2,8 +2,8 @@
 
 use std::{collections::BTreeMap, fmt::Write as _};
 
+use singletrack_control::statistics::{Distribution, Random};
 use singletrack_figures::figure::{Axis, Estimate, Figure, Mark, MarkKind, Panel};
-use singletrack_statistics::{Distribution, Random};
 
 use super::{
     condition::{Condition, WORST},

@@ -214,7 +214,7 @@ pub(super) fn density(samples: &[(Time, f64)]) -> Vec<(f64, f64)> {
 
 #[cfg(test)]
 mod tests {
-    use singletrack_statistics::Random;
+    use singletrack_control::statistics::Random;
 
     use super::*;
 

@@ -5,9 +5,9 @@ use singletrack_commissioning::{
     seen::{self, Kind, Motion, SLOWEST_CAMERAS, Seen, Track},
     sensors::{self, Readings, Sensor, Source},
 };
+use singletrack_control::statistics::{Line, RootMeanSquare};
 use singletrack_control::{EstimatorConfig, InertialSample, PoseVerdict, Time};
 use singletrack_pilot::{Event, Imu};
-use singletrack_statistics::{Line, RootMeanSquare};
 
 use super::{
     bends::Bends,

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use singletrack_control::statistics::RootMeanSquare;
 use singletrack_control::{Estimate, Position, VehicleParameters, front_point};
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_record::{Entry, Reader, Topic};
@@ -9,7 +10,6 @@ use singletrack_scenario::simulate::{
     self, ControlSection, HEADER, MarkerLoss, PlantKind, Row, RunSection, Scenario, SimulateError,
     StartSection,
 };
-use singletrack_statistics::RootMeanSquare;
 
 use super::{Setup, largest};
 use crate::{Result, table::Table};

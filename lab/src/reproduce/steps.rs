@@ -1,10 +1,10 @@
 //! The law alone: piecewise constant velocities of P, without position control.
 
 use indicatif::ProgressBar;
+use singletrack_control::statistics::RootMeanSquare;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
 use singletrack_figures::figure::{Curve, Figure, Look};
 use singletrack_scenario::simulate::{MarkerLoss, PlantKind};
-use singletrack_statistics::RootMeanSquare;
 
 use super::{
     Setup, assumptions,

@@ -2,7 +2,7 @@
 
 /// One stream of random numbers.
 #[derive(Clone, Debug)]
-pub(crate) struct Random(singletrack_statistics::Random);
+pub(crate) struct Random(singletrack_control::statistics::Random);
 
 /// Consumers with a stream of their own, so that one's draws do not shift
 /// another's.
@@ -33,7 +33,7 @@ impl Random {
     /// The stream of a seed.
     pub(crate) fn new(seed: u64, stream: Stream) -> Self {
         let seed = seed ^ (stream as u64).wrapping_mul(0xd6e8_feb8_6659_fd93);
-        let mut random = singletrack_statistics::Random::new(seed);
+        let mut random = singletrack_control::statistics::Random::new(seed);
         // The first output of seeds that differ in one bit is similar.
         random.bits();
         Self(random)

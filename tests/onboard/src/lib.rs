@@ -19,4 +19,4 @@ pub use campaign::{
 pub use car::{HALL_M, OnboardCar, PlantedFault, truth_of};
 pub use guard::{Guard, Violation};
 pub use person::{Hands, Person};
-pub use singletrack_statistics::Random;
+pub use singletrack_control::statistics::Random;

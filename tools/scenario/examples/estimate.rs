@@ -19,12 +19,12 @@
 
 use std::{env, error::Error, fs};
 
+use singletrack_control::statistics::RootMeanSquare;
 use singletrack_control::wrap;
 use singletrack_scenario::{
     simulate::{Scenario, virtual_drive_config},
     virtual_drive::VirtualDrive,
 };
-use singletrack_statistics::RootMeanSquare;
 use toml::{Table, Value};
 
 /// From here on the start no longer counts, in s.

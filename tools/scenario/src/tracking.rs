@@ -3,7 +3,7 @@
 use std::{f64::consts::TAU, fmt};
 
 use serde::Serialize;
-use singletrack_statistics::{Distribution, RootMeanSquare};
+use singletrack_control::statistics::{Distribution, RootMeanSquare};
 
 /// How far P was from its reference, in m.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -1,5 +1,6 @@
 //! Jogging: bare pulses from a hand, through daemon, line, board and car, in virtual time.
 
+use singletrack_control::statistics::Random;
 use singletrack_core::config::{ReferenceSection, Start};
 use singletrack_pilot::{Arming, Jog, Mode, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, JOG_LIMIT_US, StopCause};
@@ -8,7 +9,6 @@ use singletrack_scenario::{
     virtual_drive::VirtualDrive,
 };
 use singletrack_sim::{EscKind, MotorSensorFault, SimulationConfig};
-use singletrack_statistics::Random;
 
 const NEUTRAL_US: u16 = 1_500;
 const STRAIGHT_US: u16 = 1_500;

@@ -136,7 +136,7 @@ mod tests {
     use core::f64::consts::PI;
 
     use singletrack_control::Time;
-    use singletrack_statistics::Random;
+    use singletrack_control::statistics::Random;
 
     use super::*;
     use crate::fit::mean_interval;

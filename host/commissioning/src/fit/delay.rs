@@ -231,7 +231,7 @@ fn waits(times: &[f64]) -> (Vec<f64>, f64) {
 mod tests {
     use core::f64::consts::TAU;
 
-    use singletrack_statistics::Random;
+    use singletrack_control::statistics::Random;
 
     use super::*;
 

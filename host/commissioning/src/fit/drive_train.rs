@@ -258,7 +258,7 @@ pub(crate) fn fit_speed_curve(
 
 #[cfg(test)]
 mod tests {
-    use singletrack_statistics::Random;
+    use singletrack_control::statistics::Random;
 
     use super::*;
 

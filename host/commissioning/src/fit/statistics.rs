@@ -205,7 +205,7 @@ pub(crate) fn gauss_newton<const N: usize>(
 
 #[cfg(test)]
 mod tests {
-    use singletrack_statistics::Random;
+    use singletrack_control::statistics::Random;
 
     use super::*;
 

@@ -4,8 +4,8 @@
 //! every 10 ms: the native board at multiples of 10 ms, the Arduino's image 5 ms after them. A
 //! pulse is as long as the last record says that was made until then.
 
+use singletrack_control::statistics::Line;
 use singletrack_control::{interpolate, unwrap_near};
-use singletrack_statistics::Line;
 
 use super::{Reading, sample_times};
 use crate::Observation;

@@ -1,7 +1,7 @@
 //! The steering servo, from angles that a person has read or from a drive with bends.
 
+use singletrack_control::statistics::Line;
 use singletrack_control::{VehicleParameters, interpolate, student_quantile};
-use singletrack_statistics::Line;
 
 use super::{Frames, Motion, gauss_newton};
 use crate::Interval;
@@ -302,7 +302,7 @@ pub(crate) fn fit_steering(
 
 #[cfg(test)]
 mod tests {
-    use singletrack_statistics::Random;
+    use singletrack_control::statistics::Random;
 
     use super::*;
 

@@ -4,12 +4,12 @@ use singletrack_commissioning::{
     Answer, Answers, Attendance, Bench, BoardReading, Interrupted, Jog, Observation, PoseReading,
     Question, Refused, TickReading, edit::Edit,
 };
+use singletrack_control::statistics::Random;
 use singletrack_control::{Position, Time, Velocity};
 use singletrack_core::Config;
 use singletrack_pilot::Mode;
 use singletrack_protocol::{BoardMode, RefusalReason, ResetCause, Status, StopCause};
 use singletrack_record::StatusRecord;
-use singletrack_statistics::Random;
 
 use crate::{Kind, Truth, numbers};
 

@@ -10,8 +10,8 @@ use car::MockCar;
 use singletrack_commissioning::{
     Finding, Interrupted, Journal, Parameter, Step, Verdict, bring_up, run,
 };
+use singletrack_control::statistics::Random;
 use singletrack_core::Config;
-use singletrack_statistics::Random;
 
 /// Keeps the findings in memory.
 #[derive(Default)]

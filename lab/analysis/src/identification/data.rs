@@ -2,8 +2,8 @@
 //! stretches of it that can be used.
 
 use nalgebra::{Matrix3, Vector3};
+use singletrack_control::statistics::{Line, RootMeanSquare};
 use singletrack_control::{words, wrap};
-use singletrack_statistics::{Line, RootMeanSquare};
 
 use super::error::IdentificationError;
 

@@ -3,8 +3,8 @@
 //! The times of the events depend on the parameters: the servo reacts to a target after a
 //! delay, and the time stamps of the IMU are late.
 
+use singletrack_control::statistics::Line;
 use singletrack_control::wrap;
-use singletrack_statistics::Line;
 
 use super::{
     data::{DriveData, Pose, ServoTarget, Span},

@@ -13,13 +13,13 @@ use std::{
 };
 
 use clap::Parser;
+use singletrack_control::statistics::Distribution;
 use singletrack_hil::{
     Failure, Measurements, Outcome,
     bench::{Bench, Equipment},
     daemon, ensure,
 };
 use singletrack_sim::BoardKind;
-use singletrack_statistics::Distribution;
 
 /// Compare the lateness of the shipped daemon's ticks with cyclictest.
 #[derive(Debug, Parser)]

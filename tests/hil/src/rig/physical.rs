@@ -13,9 +13,9 @@ use std::{
 };
 
 use serialport::{SerialPort, TTYPort};
+use singletrack_control::statistics::Random;
 use singletrack_protocol::{BoardMode, Decoder, ImuState, StopCause, Telemetry, ToHost};
 use singletrack_sim::{LossKind, Pty, RealTimeConfig, RealTimeSimulator, Truth};
-use singletrack_statistics::Random;
 
 use super::{Canary, LineFaults, Need, Rig, raise_priority, simulated, uinput_lacks};
 use crate::{Failure, Outcome, Pulses, Trace, settings, wait};

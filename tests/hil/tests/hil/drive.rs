@@ -3,6 +3,7 @@
 use std::{process::Command, time::Duration};
 
 use singletrack_control::VehicleParameters;
+use singletrack_control::statistics::RootMeanSquare;
 use singletrack_core::config::ServerKind;
 use singletrack_hil::{
     Failure, Outcome,
@@ -12,7 +13,6 @@ use singletrack_hil::{
     settings::{POINT_DISTANCE_M, RADIUS_M},
     wait,
 };
-use singletrack_statistics::RootMeanSquare;
 
 use crate::Scenario;
 

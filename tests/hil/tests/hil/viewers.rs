@@ -8,8 +8,8 @@ use std::{
 };
 
 use serde_json::{Value, json};
+use singletrack_control::statistics::Distribution;
 use singletrack_hil::{Failure, Outcome, bench::Bench, ensure, viewer::Viewer};
-use singletrack_statistics::Distribution;
 use socket2::{Domain, Socket, Type};
 use tungstenite::{Message, WebSocket, client::IntoClientRequest};
 

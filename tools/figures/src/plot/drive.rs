@@ -2,9 +2,9 @@
 //! the time since the first driving tick.
 
 use singletrack_control::Time;
+use singletrack_control::statistics::Distribution;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord, seconds_since};
-use singletrack_statistics::Distribution;
 
 /// The drives of a record.
 #[derive(Clone, Debug, Default)]

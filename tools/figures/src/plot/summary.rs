@@ -1,9 +1,9 @@
 //! A drive in a few lines.
 
 use jiff::Timestamp;
+use singletrack_control::statistics::Distribution;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_record::{ClockMapping, Level, Meta, seconds_since};
-use singletrack_statistics::Distribution;
 use toml::{Table, Value};
 
 use super::{

@@ -6,9 +6,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use singletrack_control::statistics::Arrivals;
 use singletrack_mocap::Observation;
 use singletrack_record::{RecordError, seconds_since};
-use singletrack_statistics::Arrivals;
 
 use super::{FIRST_ROW_NS, samples::Series, times::Times};
 

@@ -3,6 +3,7 @@
 
 use std::{error::Error, f64::consts::FRAC_PI_2, path::Path};
 
+use singletrack_control::statistics::Random;
 use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
 use singletrack_scenario::{
@@ -10,7 +11,6 @@ use singletrack_scenario::{
     virtual_drive::VirtualDrive,
 };
 use singletrack_sim::{LossPattern, WIDE_US, crooked_steering};
-use singletrack_statistics::Random;
 
 /// A car and its course.
 pub(crate) struct CalibratedCar {

@@ -1,5 +1,6 @@
 //! Errors of the estimate on the simulated car.
 
+use singletrack_control::statistics::RootMeanSquare;
 use singletrack_control::{Estimate, wrap};
 use singletrack_core::config::MarkerLoss;
 use singletrack_pilot::Mode;
@@ -8,7 +9,6 @@ use singletrack_scenario::{
     virtual_drive::VirtualDrive,
 };
 use singletrack_sim::{LossPattern, Truth};
-use singletrack_statistics::RootMeanSquare;
 
 /// Root-mean-square errors of the estimate.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

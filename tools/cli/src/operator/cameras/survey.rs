@@ -7,6 +7,7 @@ use std::{
 };
 
 use serde::Serialize;
+use singletrack_control::statistics::RootMeanSquare;
 use singletrack_core::config::ServerKind;
 use singletrack_mocap::{
     Body, BodyPose, BodyState, CaptureTimeSource, DEFAULT_COMMAND_PORT, NameText, Output,
@@ -15,7 +16,6 @@ use singletrack_mocap::{
     encode,
     qualisys::packet::{DISCOVERY_PORT, discovery},
 };
-use singletrack_statistics::RootMeanSquare;
 
 /// A body, from all frames in which it was listed.
 #[derive(Clone, Debug, Default)]

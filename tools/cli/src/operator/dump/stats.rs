@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
+use singletrack_control::statistics::{Arrivals, Distribution, Gap};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::Reason;
 use singletrack_protocol::{
     RefusalReason, Status, StopCause, TELEMETRY_PERIOD_US, Telemetry, ToHost,
 };
 use singletrack_record::{Entry, TickRecord};
-use singletrack_statistics::{Arrivals, Distribution, Gap};
 
 use super::{
     DumpError,

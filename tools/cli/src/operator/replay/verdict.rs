@@ -5,10 +5,10 @@ use std::{
     path::Path,
 };
 
+use singletrack_control::statistics::RootMeanSquare;
 use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol};
 use singletrack_pilot::{Mode, Output, Reason};
 use singletrack_record::{Entry, Meta, TickRecord};
-use singletrack_statistics::RootMeanSquare;
 
 use super::Span;
 

@@ -1,6 +1,6 @@
 //! How punctual the controller was.
 
-use singletrack_statistics::Distribution;
+use singletrack_control::statistics::Distribution;
 
 use crate::{
     figure::{Axis, Bar, Figure, Panel, Rule},

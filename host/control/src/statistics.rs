@@ -1,14 +1,8 @@
-//! Percentiles, root mean squares, lines and rates of measured values, for the daemon, the
-//! commissioning, the analysis, the command line and the tests; and [`Random`] numbers from a seed.
-//!
-//! Every percentile is a nearest-rank percentile: the smallest value that a given part
-//! of all values does not exceed.
-//!
-//! [`Distribution`] keeps every value and is exact. [`DurationHistogram`] needs a fixed
-//! amount of memory, however long the daemon runs, and rounds up by at most 1 %.
+//! Root mean squares, straight lines, rates and percentiles of measured values, and [`Random`]
+//! numbers from a seed.
 
-use hdrhistogram::Histogram;
-use serde::Serialize;
+#[cfg(feature = "alloc")]
+use alloc::vec::Vec;
 
 /// The longest time between two arrivals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -85,10 +79,13 @@ impl Arrivals {
     }
 }
 
-/// Values in ascending order; values that are not finite are left out.
+/// Values in ascending order; values that are not finite are left out. Its percentiles are
+/// nearest-rank percentiles: the smallest value that a given part of all values does not exceed.
+#[cfg(feature = "alloc")]
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Distribution(Vec<f64>);
 
+#[cfg(feature = "alloc")]
 impl Distribution {
     /// The distribution of `values`, in the unit of the values.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
@@ -121,7 +118,7 @@ impl Distribution {
     /// The smallest value that `part` (0 to 1) of all values do not exceed. It is one of
     /// the values; values between two are not interpolated.
     pub fn quantile(&self, part: f64) -> Option<f64> {
-        let rank = (part * self.0.len() as f64).ceil() as usize;
+        let rank = libm::ceil(part * self.0.len() as f64) as usize;
         self.0.get(rank.max(1) - 1).copied()
     }
 
@@ -137,66 +134,7 @@ impl Distribution {
 
     /// The root mean square of the values.
     pub fn root_mean_square(&self) -> Option<f64> {
-        crate::RootMeanSquare::of(self.0.iter().copied()).value()
-    }
-}
-
-/// Significant decimal digits of the buckets: each is at most 1 % wide.
-const DIGITS: u8 = 2;
-
-/// The longest duration with a bucket of its own size, in ns: 292 years.
-const LONGEST_NS: u64 = i64::MAX as u64;
-
-/// Percentiles of durations, in microseconds; zeros without durations.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Percentiles {
-    /// Half of the values are at most this; rounded up by at most 1 %.
-    pub p50: f64,
-    /// 99 % of the values are at most this; rounded up by at most 1 %.
-    pub p99: f64,
-    /// The largest value, exactly.
-    pub max: f64,
-}
-
-/// A histogram of durations in nanoseconds, in buckets of at most 1 %. It allocates
-/// about 60 kB when it is made and nothing afterwards.
-#[derive(Clone, Debug)]
-pub struct DurationHistogram {
-    buckets: Histogram<u64>,
-    /// The bucket of the largest value only bounds it.
-    max_ns: u64,
-}
-
-impl Default for DurationHistogram {
-    #[expect(clippy::expect_used, reason = "the arguments are constants and valid")]
-    fn default() -> Self {
-        Self {
-            buckets: Histogram::new_with_max(LONGEST_NS, DIGITS).expect("valid arguments"),
-            max_ns: 0,
-        }
-    }
-}
-
-impl DurationHistogram {
-    /// Adds a duration, in ns.
-    pub fn add(&mut self, ns: u64) {
-        self.buckets.saturating_record(ns);
-        self.max_ns = self.max_ns.max(ns);
-    }
-
-    /// The percentiles of all durations so far.
-    pub fn percentiles(&self) -> Percentiles {
-        let microseconds = |ns: u64| ns as f64 / 1_000.0;
-        Percentiles {
-            p50: microseconds(self.quantile_ns(0.5)),
-            p99: microseconds(self.quantile_ns(0.99)),
-            max: microseconds(self.max_ns),
-        }
-    }
-
-    fn quantile_ns(&self, part: f64) -> u64 {
-        // The end of a bucket, which may lie beyond every value in it.
-        self.buckets.value_at_quantile(part).min(self.max_ns)
+        RootMeanSquare::of(self.0.iter().copied()).value()
     }
 }
 
@@ -266,7 +204,7 @@ impl RootMeanSquare {
 
     /// The root mean square, in the unit of the values; none without values.
     pub fn value(&self) -> Option<f64> {
-        (self.count > 0).then(|| (self.squares / self.count as f64).sqrt())
+        (self.count > 0).then(|| libm::sqrt(self.squares / self.count as f64))
     }
 }
 
@@ -318,6 +256,8 @@ impl Random {
 
 #[cfg(test)]
 mod tests {
+    use std::vec::Vec;
+
     use super::*;
 
     #[test]
@@ -350,6 +290,7 @@ mod tests {
         assert_eq!(arrivals.last_ns(), Some(5));
     }
 
+    #[cfg(feature = "alloc")]
     #[test]
     fn quantiles_are_values_that_occur() {
         let values = Distribution::of((1..=100).map(f64::from).chain([f64::NAN]));
@@ -361,6 +302,7 @@ mod tests {
         assert_eq!(Distribution::of([]).quantile(0.5), None);
     }
 
+    #[cfg(feature = "alloc")]
     #[test]
     fn ranks_of_per_mille_are_exact() {
         for count in 1..=2_000_u32 {
@@ -376,6 +318,7 @@ mod tests {
         }
     }
 
+    #[cfg(feature = "alloc")]
     #[test]
     fn a_value_at_a_bound_is_up_to_it_and_not_below_it() {
         let values = Distribution::of([2.0, 1.0, 2.0, 3.0]);
@@ -384,6 +327,7 @@ mod tests {
         assert_eq!(values.sorted(), [1.0, 2.0, 2.0, 3.0]);
     }
 
+    #[cfg(feature = "alloc")]
     #[test]
     fn only_finite_values_have_a_root_mean_square() {
         assert_eq!(
@@ -391,44 +335,6 @@ mod tests {
             Some(12.5_f64.sqrt())
         );
         assert_eq!(Distribution::of([f64::NAN]).root_mean_square(), None);
-    }
-
-    #[test]
-    fn every_value_lies_in_its_bucket_and_buckets_are_narrow() {
-        for ns in (0..63).flat_map(|bits| {
-            let power = 1_u64 << bits;
-            [power - 1, power, power + power / 3, power + (power - 1)]
-        }) {
-            let mut histogram = DurationHistogram::default();
-            histogram.add(ns);
-            let end = histogram.buckets.value_at_quantile(0.5);
-            assert!(end >= ns, "{ns}");
-            assert!((end - ns) as f64 <= 0.01 * ns as f64, "{ns}");
-            assert_eq!(histogram.quantile_ns(0.5), ns);
-        }
-    }
-
-    #[test]
-    fn longer_durations_saturate_and_the_largest_stays_exact() {
-        let mut histogram = DurationHistogram::default();
-        histogram.add(u64::MAX);
-        let Percentiles { p50, p99, max } = histogram.percentiles();
-        assert_eq!(p50, p99);
-        assert!(p50 >= LONGEST_NS as f64 / 1_000.0, "{p50}");
-        assert_eq!(max, u64::MAX as f64 / 1_000.0);
-    }
-
-    #[test]
-    fn percentiles_are_those_of_the_values() {
-        let mut histogram = DurationHistogram::default();
-        assert_eq!(histogram.percentiles(), Percentiles::default());
-        for us in 1..=1_000_u64 {
-            histogram.add(us * 1_000);
-        }
-        let Percentiles { p50, p99, max } = histogram.percentiles();
-        assert!((500.0..505.0).contains(&p50), "{p50}");
-        assert!((990.0..=1_000.0).contains(&p99), "{p99}");
-        assert_eq!(max, 1_000.0);
     }
 
     #[test]
