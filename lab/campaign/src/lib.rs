@@ -6,7 +6,7 @@
 //! number of threads and in any number of shards.
 //!
 //! A shard writes a [`ResultFile`]: a header with everything that decides the results, then a
-//! line per unit. [`merge`] joins the files of all shards to the file that one process
+//! line per unit. [`merge_files`] joins the files of all shards to the file that one process
 //! writes, byte for byte, and refuses gaps, doubles, and files of different campaigns.
 //!
 //! ```text
@@ -21,7 +21,7 @@ mod run;
 mod shard;
 
 pub use file::{FORMAT, Header, ResultFile};
-pub use merge::{MergeArgs, merge, merge_files, run_merge};
+pub use merge::{MergeArgs, merge_files, run_merge};
 pub use run::{Campaign, CampaignArgs, run_shown};
 pub use shard::{Experiment, Results, Shard, ShardError, run_units, thread_count};
 

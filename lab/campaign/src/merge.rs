@@ -26,44 +26,30 @@ pub struct MergeArgs {
     pub out: Option<PathBuf>,
 }
 
-/// Reads the files of all shards and joins them.
-///
-/// # Errors
-///
-/// A file can't be read, or the files are not those of one campaign.
-pub fn merge_files(paths: &[PathBuf]) -> Result<ResultFile> {
-    let mut files = Vec::with_capacity(paths.len());
-    for path in paths {
-        files.push((path.clone(), ResultFile::read(path)?));
-    }
-    merge(files)
-}
-
 /// Joins the files of all shards of a campaign to the file that one process writes.
 ///
 /// # Errors
 ///
-/// Units are missing or there twice, or the files are of different campaigns.
-pub fn merge(files: Vec<(PathBuf, ResultFile)>) -> Result<ResultFile> {
-    let mut merged: Option<(PathBuf, Header)> = None;
-    let mut results: BTreeMap<u64, String> = BTreeMap::new();
+/// A file can't be read, units are missing or there twice, or the files are of different campaigns.
+pub fn merge_files(paths: &[PathBuf]) -> Result<ResultFile> {
+    let files = paths.iter().map(|path| ResultFile::read(path));
+    let files = files.collect::<Result<Vec<_>>>()?;
+    let first = files.first().ok_or("give the files of the shards")?;
+    let whole = Header {
+        shard: Shard::WHOLE,
+        ..first.header.clone()
+    };
+    let of = first.header.shard.of();
+    let mut results = BTreeMap::new();
     // Which file has which units: a double is named with both files.
-    let mut shards: Vec<(PathBuf, Shard)> = Vec::new();
-    for (path, file) in files {
-        let ResultFile {
-            header,
-            results: units,
-        } = file;
-        match &merged {
-            None => merged = Some((path.clone(), header.clone())),
-            Some((first, other)) => same_campaign(first, other, &path, &header)?,
-        }
-        for (unit, result) in units {
+    let mut shards: Vec<(&PathBuf, Shard)> = Vec::new();
+    for (path, file) in paths.iter().zip(files) {
+        same_campaign(&paths[0], &whole, path, &file.header)?;
+        for (unit, result) in file.results {
             if results.insert(unit, result).is_some() {
                 let with_unit =
-                    |(_, shard): &&(PathBuf, Shard)| Shard::with_unit(unit, shard.of()) == *shard;
-                let earlier = shards.iter().find(with_unit);
-                let earlier = earlier.map_or_else(|| path.clone(), |(path, _)| path.clone());
+                    |(_, shard): &&(_, Shard)| Shard::with_unit(unit, shard.of()) == *shard;
+                let earlier = shards.iter().find(with_unit).map_or(path, |(path, _)| path);
                 let [earlier, path] = [earlier.display(), path.display()];
                 return Err(format!(
                     "unit {unit} is in {earlier} and in {path}: give each shard once"
@@ -71,23 +57,21 @@ pub fn merge(files: Vec<(PathBuf, ResultFile)>) -> Result<ResultFile> {
                 .into());
             }
         }
-        shards.push((path, header.shard));
+        shards.push((path, file.header.shard));
     }
-    let (_, header) = merged.ok_or("give the files of the shards")?;
-    let units = header.units;
+    let units = whole.units;
     let count = units - results.len() as u64;
     if let Some(unit) = (0..units).find(|unit| !results.contains_key(unit)) {
-        let shard = Shard::with_unit(unit, header.shard.of());
+        let shard = Shard::with_unit(unit, of);
         return Err(format!(
             "{count} of {units} units are missing, the first is {unit}: give also shard {shard}"
         )
         .into());
     }
-    let header = Header {
-        shard: Shard::WHOLE,
-        ..header
-    };
-    Ok(ResultFile { header, results })
+    Ok(ResultFile {
+        header: whole,
+        results,
+    })
 }
 
 fn same_campaign(first: &Path, one: &Header, second: &Path, other: &Header) -> Result {
