@@ -10,7 +10,7 @@ use singletrack_figures::output::print;
 use super::{
     arguments::{DrawnFormat, LoopArgs, SaturationArgs},
     figures::{self, Scene},
-    region::region,
+    maps::region,
     subject::{Grid, Subject, write_json},
 };
 use crate::{Result, table::Table};

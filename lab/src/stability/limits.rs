@@ -1,18 +1,18 @@
 //! The sampled loop over speed and dl, and its limits with a servo: the first unstable speed, and
-//! the least p.
+//! the least p. And the one length that decides whether a car is stable without one.
 
 use clap::Args;
 use serde::Serialize;
 use singletrack::progress::progress_bar;
 use singletrack_analysis::stability::{
-    ClosedLoop, MarginLimits, first_unstable_speed, least_point_distance,
+    Belief, ClosedLoop, Law, MarginLimits, OneLength, first_unstable_speed, least_point_distance,
 };
 
 use super::{
-    arguments::{LoopArgs, PointArgs, TimingArgs},
-    subject::{Format, Grid, Subject, write},
+    arguments::{CarArgs, LoopArgs, PointArgs, TimingArgs},
+    subject::{Format, Grid, Subject, write, write_numbers},
 };
-use crate::{Result, table::Table};
+use crate::{Result, table::Table, vehicle_file};
 
 /// The searched speeds, in m/s.
 pub(super) const SEARCHED_SPEEDS: [f64; 2] = [0.1, 20.0];
@@ -85,14 +85,6 @@ impl ServoArgs {
         });
         timings.collect()
     }
-
-    /// Writes rows with the names of their columns. A limit that the search has not found is
-    /// missing.
-    fn write(&self, subject: &Subject, header: &str, rows: Vec<Vec<f64>>) -> Result {
-        let header = header.to_owned();
-        let table = Table { header, rows };
-        Ok(write(self.format, subject, &table, &table.to_json())?)
-    }
 }
 
 pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result {
@@ -102,13 +94,14 @@ pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result {
         for dl in args.dl.values() {
             for timing in args.servo.timings() {
                 let first = first_unstable(&subject, timing, &[*dl], *p)?;
+                // A limit that the search has not found is missing.
                 let first = first.unwrap_or(f64::NAN);
                 rows.push(vec![*p, *dl, timing.delay_ms, first]);
             }
         }
     }
     let header = "point_distance_m,dl_m,delay_ms,first_unstable_m_s";
-    args.servo.write(&subject, header, rows)
+    Ok(write_numbers(args.servo.format, &subject, header, rows)?)
 }
 
 pub(super) fn run_least(args: &LeastArgs) -> Result {
@@ -121,7 +114,7 @@ pub(super) fn run_least(args: &LeastArgs) -> Result {
         }
     }
     let header = "speed_m_s,delay_ms,least_p_m";
-    args.servo.write(&subject, header, rows)
+    Ok(write_numbers(args.servo.format, &subject, header, rows)?)
 }
 
 /// The lowest speed in m/s from which the motion is unstable with one of `deviations` (m) and
@@ -259,4 +252,67 @@ pub fn sampled_map(
         Ok(row)
     });
     rows.collect()
+}
+
+/// Options of `one-length`.
+#[derive(Clone, Debug, Args)]
+pub(super) struct OneLengthArgs {
+    #[command(flatten)]
+    car: CarArgs,
+    /// Speeds up to which the car is to be stable, in m/s; inf for every speed
+    #[arg(long, value_name = "A:B:STEP", default_value = "1,2,3,5,inf", value_parser = speeds)]
+    speeds: Speeds,
+    /// How to write it
+    #[arg(long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
+}
+
+#[derive(Clone, Debug)]
+struct Speeds(Vec<f64>);
+
+fn speeds(text: &str) -> Result<Speeds, String> {
+    let (text, is_endless) = match text.strip_suffix("inf") {
+        Some(rest) => (rest.trim_end_matches(','), true),
+        None => (text, false),
+    };
+    let mut speeds = match text {
+        "" if is_endless => Vec::new(),
+        text => text.parse::<Grid>()?.values().to_vec(),
+    };
+    speeds.extend(is_endless.then_some(f64::INFINITY));
+    Ok(Speeds(speeds))
+}
+
+pub(super) fn run_one_length(args: &OneLengthArgs) -> Result {
+    let subject = Subject {
+        vehicle: vehicle_file::read_or_paper(args.car.vehicle.as_deref())?,
+        law: Law::FrontPoint,
+        belief: Belief::CentreOfMass,
+        point_distance: args.car.point_distance,
+    };
+    let range = ClosedLoop::meaningful_deviations(&subject.vehicle);
+    let or_none = |value: Option<f64>| value.unwrap_or(f64::NAN);
+    let mut rows = Vec::new();
+    for speed in &args.speeds.0 {
+        let length = OneLength::of(subject.vehicle, *speed)?;
+        let endless = length.distances.iter().find(|[_, to]| to.is_infinite());
+        let other = length.distances.iter().find(|[_, to]| to.is_finite());
+        let mut bounds = Vec::new();
+        if speed.is_finite() {
+            for dl in Grid::spanning(range, 41).values() {
+                bounds.push(subject.at(*speed, *dl)?.actuation_bound());
+            }
+        }
+        let bounds: Option<Vec<f64>> = bounds.into_iter().collect();
+        let least = bounds.and_then(|bounds| bounds.into_iter().min_by(f64::total_cmp));
+        rows.push(vec![
+            *speed,
+            or_none(endless.map(|[from, _]| *from)),
+            or_none(other.map(|[from, _]| *from)),
+            or_none(other.map(|[_, to]| *to)),
+            or_none(least),
+        ]);
+    }
+    let header = "speed_m_s,p_from_m,other_from_m,other_to_m,actuation_s";
+    Ok(write_numbers(args.format, &subject, header, rows)?)
 }

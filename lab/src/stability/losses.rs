@@ -11,7 +11,7 @@ use singletrack_analysis::stability::{
 
 use super::{
     arguments::{LoopArgs, PointArgs, TimingArgs},
-    subject::{Format, Grid, Subject, write},
+    subject::{Format, Grid, Subject, write, write_numbers},
 };
 use crate::{Result, table::Table};
 
@@ -90,9 +90,8 @@ pub(super) fn run(args: &LossesArgs) -> Result {
                     rows.push(random(point, *burst_ms, proofs.as_mut()));
                 }
             }
-            let header = "speed_m_s,dl_m,burst_s,largest_share".to_owned();
-            let table = Table { header, rows };
-            write(args.format, &subject, &table, &table.to_json())?;
+            let header = "speed_m_s,dl_m,burst_s,largest_share";
+            write_numbers(args.format, &subject, header, rows)?;
         }
     }
     if let (Some(path), Some(proofs)) = (&args.certificates, proofs) {

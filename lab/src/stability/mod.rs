@@ -2,14 +2,12 @@
 //! sampled loop that it leaves out.
 
 mod arguments;
-mod attraction;
-mod eigenvalues;
+mod basin;
 pub mod figures;
 mod hopf;
 mod limits;
 mod losses;
-mod one_length;
-mod region;
+mod maps;
 mod subject;
 mod summary;
 
@@ -21,10 +19,9 @@ use singletrack_figures::figure::GridError;
 use crate::Result;
 
 pub use arguments::TimingArgs;
-pub use eigenvalues::{EigenvalueRow, eigenvalue_map, eigenvalue_table};
 pub use hopf::{hopf_curve, hopf_table, limit_cycles};
 pub use limits::{SampledRow, first_unstable, least_p, sampled_map, sampled_table};
-pub use region::{RegionRow, region};
+pub use maps::{EigenvalueRow, RegionRow, eigenvalue_map, eigenvalue_table, region};
 pub use subject::{Grid, Subject};
 
 /// Options of `singletrack stability`.
@@ -43,9 +40,9 @@ enum StabilityCommand {
     /// Limit cycles from the Hopf points on: amplitude, period, Floquet multiplier, folds.
     Cycles(hopf::CyclesArgs),
     /// The yaw errors from which the straight motion is regained, over speed and p.
-    Basin(region::BasinArgs),
+    Basin(basin::BasinArgs),
     /// Regions of attraction of the straight motion over speed, with proofs, beside the simulated basin.
-    Attraction(attraction::AttractionArgs),
+    Attraction(basin::AttractionArgs),
     /// Eigenvalues of the steady motion over speed and dl.
     Eigenvalues(arguments::MapArgs),
     /// Where the steady motion is stable, over speed and dl.
@@ -55,7 +52,7 @@ enum StabilityCommand {
     /// Lost poses: which irregular intervals, and which random bursts, the motion survives, with proofs.
     Losses(losses::LossesArgs),
     /// The distances p that make a car stable at every speed, in closed form, and what actuation they bear.
-    OneLength(one_length::OneLengthArgs),
+    OneLength(limits::OneLengthArgs),
     /// The first unstable speed, with a servo: over p, dl and delay.
     FirstUnstableSpeed(limits::FirstUnstableArgs),
     /// The least p that is stable, with a servo: over speed and delay.
@@ -74,13 +71,13 @@ pub fn run(args: &StabilityArgs) -> Result {
         StabilityCommand::Summary(args) => summary::run(args),
         StabilityCommand::Hopf(args) => hopf::run(args),
         StabilityCommand::Cycles(args) => hopf::run_cycles(args),
-        StabilityCommand::Basin(args) => region::run_basin(args),
-        StabilityCommand::Attraction(args) => attraction::run(args),
-        StabilityCommand::Eigenvalues(args) => eigenvalues::run(args),
-        StabilityCommand::Region(args) => region::run(args),
+        StabilityCommand::Basin(args) => basin::run(args),
+        StabilityCommand::Attraction(args) => basin::run_attraction(args),
+        StabilityCommand::Eigenvalues(args) => maps::run_eigenvalues(args),
+        StabilityCommand::Region(args) => maps::run(args),
         StabilityCommand::Sampled(args) => limits::run(args),
         StabilityCommand::Losses(args) => losses::run(args),
-        StabilityCommand::OneLength(args) => one_length::run(args),
+        StabilityCommand::OneLength(args) => limits::run_one_length(args),
         StabilityCommand::FirstUnstableSpeed(args) => limits::run_first_unstable(args),
         StabilityCommand::LeastP(args) => limits::run_least(args),
         StabilityCommand::Figures(args) => figures::run(args),

@@ -159,14 +159,10 @@ impl FromStr for Grid {
 fn decimals(text: &str) -> usize {
     let text = text.trim().to_ascii_lowercase();
     let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
-    let written = mantissa
-        .split_once('.')
-        .map_or(0, |(_, decimals)| decimals.len());
+    let written = mantissa.split_once('.');
+    let written = written.map_or(0, |(_, decimals)| decimals.len() as i64);
     let shift: i64 = exponent.parse().unwrap_or(0);
-    let decimals = i64::try_from(written)
-        .unwrap_or(i64::MAX)
-        .saturating_sub(shift);
-    usize::try_from(decimals.max(0)).unwrap_or(0)
+    usize::try_from(written.saturating_sub(shift)).unwrap_or(0)
 }
 
 /// The value rounded to a number of decimals.
@@ -200,6 +196,19 @@ pub(super) fn write(
         Format::Csv => print(&table.to_csv()),
         Format::Json => write_json(subject, points),
     }
+}
+
+/// Writes rows of numbers with the names of their columns, separated by commas; what is not a number
+/// is missing.
+pub(super) fn write_numbers(
+    format: Format,
+    subject: &Subject,
+    header: &str,
+    rows: Vec<Vec<f64>>,
+) -> io::Result<()> {
+    let header = header.to_owned();
+    let table = Table { header, rows };
+    write(format, subject, &table, &table.to_json())
 }
 
 /// Writes a document: car, law and `points`.

@@ -1,6 +1,7 @@
-//! Eigenvalue maps, and the linearisation at one steady motion.
+//! The steady motion over speed and dl: where it is stable, and its eigenvalues.
 
-use serde_json::json;
+use serde::Serialize;
+use serde_json::{Value, json};
 use singletrack_analysis::stability::{Eigenvalues, StabilityError};
 
 use super::{
@@ -10,6 +11,50 @@ use super::{
 use crate::{Result, table::Table};
 
 pub(super) fn run(args: &MapArgs) -> Result {
+    let subject = args.subject.subject()?;
+    let dl = args.points.deviations_or(|| subject.usual_deviations());
+    let region = region(&subject, &args.points.speeds, &dl)?;
+    let table = Table::of("speed_m_s,dl_m,largest_re_per_s,stable", &region);
+    Ok(write(args.format, &subject, &table, &region)?)
+}
+
+/// Whether the steady motion is stable at a speed and a dl.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RegionRow {
+    /// The speed, in m/s.
+    pub speed_m_s: f64,
+    /// The deviation dl, in m.
+    pub dl_m: f64,
+    /// The largest real part of an eigenvalue, in 1/s.
+    pub largest_re_per_s: f64,
+    /// Whether it is asymptotically stable, by Hurwitz' criterion.
+    pub stable: bool,
+}
+
+/// Stability over all `speeds` and, for each, all `deviations`.
+///
+/// # Errors
+///
+/// A point without a steady motion.
+pub fn region(
+    subject: &Subject,
+    speeds: &Grid,
+    deviations: &Grid,
+) -> Result<Vec<RegionRow>, StabilityError> {
+    let rows = speeds.with(deviations).map(|(speed_m_s, dl_m)| {
+        let at = subject.at(speed_m_s, dl_m)?;
+        let largest = at.eigenvalues().last().map(|value| value.re);
+        Ok(RegionRow {
+            speed_m_s,
+            dl_m,
+            largest_re_per_s: largest.unwrap_or(f64::NAN),
+            stable: at.is_stable(),
+        })
+    });
+    rows.collect()
+}
+
+pub(super) fn run_eigenvalues(args: &MapArgs) -> Result {
     let subject = args.subject.subject()?;
     let dl = args.points.deviations_or(|| subject.usual_deviations());
     let map = eigenvalue_map(&subject, &args.points.speeds, &dl)?;
@@ -72,7 +117,7 @@ pub fn eigenvalue_table(map: &[EigenvalueRow]) -> Table {
     }
 }
 
-fn document(row: &EigenvalueRow) -> serde_json::Value {
+fn document(row: &EigenvalueRow) -> Value {
     json!({
         "speed_m_s": row.speed,
         "dl_m": row.deviation,
