@@ -12,7 +12,7 @@ use std::{
 use clap::Args;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
-use singletrack_analysis::identification::{Parameter, SimulationPoint};
+use singletrack_analysis::identification::SimulationPoint;
 use singletrack_control::statistics::RootMeanSquare;
 use singletrack_core::Config;
 use singletrack_figures::output::print;
@@ -20,7 +20,7 @@ use singletrack_logs::import::import;
 
 use crate::{
     Format, Result,
-    identify::{self, Identified, IdentifyArgs, SlipAngleKind, TyreKind},
+    identify::{self, Identified, IdentifyArgs, SlipAngleKind},
     judge::{WHOLE, judge},
 };
 
@@ -181,18 +181,10 @@ fn measured(car: Car, beside: &Path, files: &[PathBuf]) -> Result<CarResult> {
         }
     }
     let report = identify::identify(&IdentifyArgs {
-        record,
-        validate,
         config: Some(config_path),
-        vehicle: None,
-        parameters: Parameter::VEHICLE.to_vec(),
-        tyres: TyreKind::Saturating,
         slip_angles: SlipAngleKind::Exact,
-        drive: None,
-        least_speed: 0.5,
-        out: None,
-        format: Format::Table,
         validate_nominal: true,
+        ..IdentifyArgs::of(record, validate)
     })?;
     let identification = &report.identified.identification;
     let plain = Plain::fit(&identification.simulation, config.vehicle.wheelbase_m());

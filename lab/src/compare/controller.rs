@@ -175,6 +175,14 @@ impl Drives {
         }
     }
 
+    /// Whether clock and actuators are compensated.
+    pub(super) const fn is_compensated(&self) -> bool {
+        match self {
+            Self::Point { compensated, .. } | Self::Actuators { compensated, .. } => *compensated,
+            Self::Predictive(_) | Self::Yours(_) => true,
+        }
+    }
+
     /// Whether its outer loop has a model, with which it may be refused.
     pub(super) const fn has_model(&self) -> bool {
         matches!(

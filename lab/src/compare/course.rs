@@ -1,5 +1,7 @@
 //! The paths of the comparison: reference, start, and what is counted.
 
+use core::f64::consts::{FRAC_PI_2, TAU};
+
 use clap::ValueEnum;
 use singletrack_control::{Reference, ReferencePoint, words};
 use singletrack_core::{
@@ -46,14 +48,6 @@ pub(super) const TEST_PATHS: [PathName; 5] = [
 /// Just below where the tyres slide, at 2.45 m/s²: what is compared are loops, not limits.
 pub(super) const LATERAL_M_S2: f64 = 2.4;
 
-const RADIUS_M: f64 = 1.0;
-const INFEASIBLE_RADIUS_M: f64 = 0.45;
-const HALF_LENGTH_M: f64 = 3.0;
-const HALF_WIDTH_M: f64 = 1.5;
-const WIDE_HALF_LENGTH_M: f64 = 3.5;
-const WIDE_HALF_WIDTH_M: f64 = 1.5;
-const ELLIPSE_M: [f64; 2] = [3.0, 2.0];
-const TIGHT_ELLIPSE_M: [f64; 2] = [2.0, 1.0];
 const ELLIPSE_POINTS: u32 = 120;
 const SIDES: u32 = 12;
 const SIDE_M: f64 = 1.0;
@@ -92,12 +86,12 @@ pub(super) struct Course {
 impl Course {
     pub(super) fn new(path: PathName, speed: f64) -> Self {
         match path {
-            PathName::Circle => Self::circle(RADIUS_M, speed),
-            PathName::InfeasibleCircle => Self::circle(INFEASIBLE_RADIUS_M, speed),
-            PathName::Eight => Self::eight(HALF_LENGTH_M, HALF_WIDTH_M, speed),
-            PathName::WideEight => Self::eight(WIDE_HALF_LENGTH_M, WIDE_HALF_WIDTH_M, speed),
-            PathName::Ellipse => Self::ellipse(ELLIPSE_M, speed),
-            PathName::TightEllipse => Self::ellipse(TIGHT_ELLIPSE_M, speed),
+            PathName::Circle => Self::circle(1.0, speed),
+            PathName::InfeasibleCircle => Self::circle(0.45, speed),
+            PathName::Eight => Self::eight(3.0, 1.5, speed),
+            PathName::WideEight => Self::eight(3.5, 1.5, speed),
+            PathName::Ellipse => Self::ellipse([3.0, 2.0], speed),
+            PathName::TightEllipse => Self::ellipse([2.0, 1.0], speed),
             PathName::Corners => Self::corners(speed),
             PathName::LaneChange => Self::lane_change(speed, &[LANE_M]),
             PathName::DoubleLaneChange => Self::lane_change(speed, &[LANE_M, -LANE_M]),
@@ -105,71 +99,75 @@ impl Course {
         }
     }
 
-    fn circle(radius: f64, speed: f64) -> Self {
+    /// A path that is driven round after round from here, of which this time, in s, is counted.
+    const fn rounds(
+        reference: ReferenceSection,
+        start: [f64; 2],
+        heading: f64,
+        counted_s: f64,
+    ) -> Self {
         Self {
-            reference: ReferenceSection::Circle {
-                radius_m: radius,
-                angular_velocity_rad_s: speed / radius,
-                centre_m: [0.0; 2],
-                start: Start::Beginning,
-            },
-            start: [radius, 0.0],
-            heading: core::f64::consts::FRAC_PI_2,
+            reference,
+            start,
+            heading,
             ends: false,
-            counted: [SETTLING_S, SETTLING_S + CIRCLE_S],
+            counted: [SETTLING_S, SETTLING_S + counted_s],
         }
     }
 
+    /// With this radius, in m.
+    fn circle(radius: f64, speed: f64) -> Self {
+        let reference = ReferenceSection::Circle {
+            radius_m: radius,
+            angular_velocity_rad_s: speed / radius,
+            centre_m: [0.0; 2],
+            start: Start::Beginning,
+        };
+        Self::rounds(reference, [radius, 0.0], FRAC_PI_2, CIRCLE_S)
+    }
+
+    /// With these halves of its length and width, in m.
     fn eight(half_length: f64, half_width: f64, speed: f64) -> Self {
         let rate = speed / libm::hypot(half_length, 2.0 * half_width);
-        Self {
-            reference: ReferenceSection::FigureOfEight {
-                half_length_m: half_length,
-                half_width_m: half_width,
-                angular_velocity_rad_s: rate,
-                centre_m: [0.0; 2],
-                start: Start::Beginning,
-            },
-            start: [0.0; 2],
-            heading: libm::atan2(2.0 * half_width, half_length),
-            ends: false,
-            // One figure.
-            counted: [SETTLING_S, SETTLING_S + core::f64::consts::TAU / rate],
-        }
+        let reference = ReferenceSection::FigureOfEight {
+            half_length_m: half_length,
+            half_width_m: half_width,
+            angular_velocity_rad_s: rate,
+            centre_m: [0.0; 2],
+            start: Start::Beginning,
+        };
+        let heading = libm::atan2(2.0 * half_width, half_length);
+        // One figure.
+        Self::rounds(reference, [0.0; 2], heading, TAU / rate)
     }
 
-    /// With these half axes, from its right end on, to the left.
+    /// With these half axes, in m, from its right end on, to the left.
     fn ellipse([a, b]: [f64; 2], speed: f64) -> Self {
         let points = (0..ELLIPSE_POINTS).map(|index| {
-            let angle = core::f64::consts::TAU * f64::from(index) / f64::from(ELLIPSE_POINTS);
+            let angle = TAU * f64::from(index) / f64::from(ELLIPSE_POINTS);
             [a * libm::cos(angle), b * libm::sin(angle)]
         });
         let points: Vec<[f64; 2]> = points.collect();
         let ends = points.iter().zip(points.iter().cycle().skip(1));
         let length: f64 = ends.map(|(from, to)| distance(*from, *to)).sum();
-        Self {
-            reference: ReferenceSection::Path {
-                points: PathPoints::Points(points),
-                closed: true,
-                speed_m_s: speed,
-                lateral_acceleration_m_s2: LATERAL_M_S2,
-                acceleration_m_s2: LANE_ACCELERATION_M_S2,
-                start: Start::Beginning,
-            },
-            start: [a, 0.0],
-            heading: core::f64::consts::FRAC_PI_2,
-            ends: false,
-            // One round.
-            counted: [SETTLING_S, SETTLING_S + length / speed],
-        }
+        let reference = ReferenceSection::Path {
+            points: PathPoints::Points(points),
+            closed: true,
+            speed_m_s: speed,
+            lateral_acceleration_m_s2: LATERAL_M_S2,
+            acceleration_m_s2: LANE_ACCELERATION_M_S2,
+            start: Start::Beginning,
+        };
+        // One round.
+        Self::rounds(reference, [a, 0.0], FRAC_PI_2, length / speed)
     }
 
     fn corners(speed: f64) -> Self {
         let sides = f64::from(SIDES);
-        let turn = core::f64::consts::TAU / sides;
+        let turn = TAU / sides;
         let radius = 0.5 * SIDE_M / libm::sin(0.5 * turn);
-        let counted = [SETTLING_S, SETTLING_S + sides * SIDE_M / speed];
-        let count = (speed * (counted[1] + 6.0) / SIDE_M) as u32;
+        let round_s = sides * SIDE_M / speed;
+        let count = (speed * (SETTLING_S + round_s + 6.0) / SIDE_M) as u32;
         // It speeds up over the first sides.
         let run_up = 0.5 * speed * speed / LANE_ACCELERATION_M_S2;
         let time = |way: f64| {
@@ -193,13 +191,8 @@ impl Course {
             }
         };
         let waypoints = (0..=count).map(waypoint).collect();
-        Self {
-            reference: ReferenceSection::WaypointList { waypoints },
-            start: corner(0),
-            heading: core::f64::consts::FRAC_PI_2,
-            ends: false,
-            counted,
-        }
+        let reference = ReferenceSection::WaypointList { waypoints };
+        Self::rounds(reference, corner(0), FRAC_PI_2, round_s)
     }
 
     /// A straight line, changes to the left by `steps` over [`LANE_LENGTH_M`] each with

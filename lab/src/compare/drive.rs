@@ -72,9 +72,7 @@ pub type Decide<'a> = dyn FnMut(&VirtualTick) -> Option<SetpointCommand> + 'a;
 
 impl Case {
     pub(super) fn drive(&self) -> Result<DriveResult, DriveError> {
-        let course = Course::new(self.path, self.speed_m_s);
-        let [_, until] = course.counted;
-        let table = Table::new(&course, until + 5.0)?;
+        let (course, table) = self.course()?;
         match self.condition {
             Condition::IdealPlant => ideal::drive(&self.drives, &course, &table),
             Condition::AddedDelay => self.search_delay(&course, &table),
@@ -82,10 +80,15 @@ impl Case {
         }
     }
 
-    /// On the simulated car, with the set-points of a program.
-    pub(super) fn drive_by(&self, decide: &mut Decide<'_>) -> Result<DriveResult, DriveError> {
+    fn course(&self) -> Result<(Course, Table), DriveError> {
         let course = Course::new(self.path, self.speed_m_s);
         let table = Table::new(&course, course.counted[1] + 5.0)?;
+        Ok((course, table))
+    }
+
+    /// On the simulated car, with the set-points of a program.
+    pub(super) fn drive_by(&self, decide: &mut Decide<'_>) -> Result<DriveResult, DriveError> {
+        let (course, table) = self.course()?;
         let mut run = Run::new(self, &course, &table, 0)?;
         run.driver = Driver::Yours(decide);
         run.start();
@@ -198,37 +201,11 @@ impl<'a> Run<'a> {
         // The wheelbase is known: it can be measured.
         vehicle.front_axle_distance_m += axle_error_m;
         vehicle.rear_axle_distance_m -= axle_error_m;
-        let mut foreign = None;
-        let is_compensated;
         match &case.drives {
-            Drives::Point {
-                outer_loop,
-                compensated,
-            } => {
-                drive.outer_loop = outer_loop.clone();
-                is_compensated = *compensated;
-            }
-            Drives::Yours(_) | Drives::Predictive(_) => {
-                drive.reference = external;
-                is_compensated = true;
-            }
-            &Drives::Actuators {
-                law,
-                catch_up,
-                compensated,
-            } => {
-                drive.reference = external;
-                is_compensated = compensated;
-                foreign = Some(Foreign {
-                    law,
-                    catch_up,
-                    vehicle,
-                    table,
-                    index: 0,
-                    compensation: None,
-                });
-            }
+            Drives::Point { outer_loop, .. } => drive.outer_loop = outer_loop.clone(),
+            _ => drive.reference = external,
         }
+        let is_compensated = case.drives.is_compensated();
         let mut config = daemon_config(drive);
         config.compensation = CompensationSection {
             clock: is_compensated,
@@ -252,25 +229,22 @@ impl<'a> Run<'a> {
         follow(&config, &mut simulation);
         case.condition.falsify(&mut simulation);
         let period = config.control.period_ns() as f64 * 1e-9;
-        let driver = match (foreign, &case.drives) {
-            (None, Drives::Predictive(weights)) => Driver::Predictive(Box::new(Predictive::new(
-                *weights,
+        let model = config.actuators.model();
+        let driver = match &case.drives {
+            Drives::Point { .. } | Drives::Yours(_) => Driver::Pilot,
+            &Drives::Actuators { law, catch_up, .. } => Driver::Foreign(Box::new(Foreign {
+                law,
+                catch_up,
                 vehicle,
-                config.actuators.model(),
-                config
-                    .limits
-                    .limits(vehicle.wheelbase_m())
-                    .with_tyres(&vehicle),
-                period,
                 table,
-            ))),
-            (None, _) => Driver::Pilot,
-            (Some(mut law), _) => {
-                if is_compensated {
-                    let model = config.actuators.model();
-                    law.compensation = Some(Ahead::new(model, &law.vehicle, period));
-                }
-                Driver::Foreign(Box::new(law))
+                index: 0,
+                compensation: is_compensated.then(|| Ahead::new(model, &vehicle, period)),
+            })),
+            &Drives::Predictive(weights) => {
+                let limits = config.limits.limits(vehicle.wheelbase_m());
+                let limits = limits.with_tyres(&vehicle);
+                let law = Predictive::new(weights, vehicle, model, limits, period, table);
+                Driver::Predictive(Box::new(law))
             }
         };
         Ok(Self {

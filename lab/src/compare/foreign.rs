@@ -178,8 +178,7 @@ impl Foreign<'_> {
         let g = Position::new(g.x + way * cos(course), g.y + way * sin(course));
         let motion = Motion {
             yaw: estimate.yaw + ahead * estimate.yaw_rate,
-            yaw_rate: estimate.yaw_rate,
-            sideslip: estimate.sideslip,
+            ..estimate.motion()
         };
         self.wanted(g, &motion, estimate.speed, time)
     }

@@ -2,7 +2,7 @@
 
 use libm::{atan, cos, sin, tan};
 use singletrack_control::{
-    ActuatorModel, Estimate, FrontPointLaw, Limits, Motion, OuterLoop as _, Position, SingleTrack,
+    ActuatorModel, Estimate, FrontPointLaw, Limits, OuterLoop as _, Position, SingleTrack,
     SingleTrackDerivative, SingleTrackState, Singularity, Time, TrackingInput, TrackingLoop,
     VehicleParameters, Velocity,
 };
@@ -162,13 +162,7 @@ impl<'a> Controller<'a> {
 
     /// Gives the car its speed, and its steering angle or, returned, the rate of that in rad/s.
     fn command(&mut self, car: &mut Car, time: f64) -> Result<f64, Singularity> {
-        let state = car.state;
-        let centre = Position::new(state.x, state.y);
-        let motion = Motion {
-            yaw: state.yaw,
-            yaw_rate: state.yaw_rate,
-            sideslip: state.sideslip,
-        };
+        let estimate = car.estimate();
         match self {
             Self::Front {
                 law,
@@ -181,19 +175,19 @@ impl<'a> Controller<'a> {
                 if *left == 0 {
                     *left = *steps;
                     *applied = tracking.step(&TrackingInput {
-                        point: law.point(centre, state.yaw, car.steering),
+                        point: law.point(estimate.position, estimate.yaw, car.steering),
                         reference: &|ahead| table.reference.at(time + ahead),
                         applied: *applied,
                         period: f64::from(*steps) * STEP_S,
                     });
                 }
                 *left -= 1;
-                let command = law.command(&motion, car.steering, applied)?;
+                let command = law.command(&estimate.motion(), car.steering, applied)?;
                 car.speed = command.speed;
                 return Ok(command.steering_rate);
             }
             Self::Foreign(foreign) => {
-                [car.steering, car.speed] = foreign.command(&car.estimate(), time, 0.0);
+                [car.steering, car.speed] = foreign.command(&estimate, time, 0.0);
             }
             Self::Predictive { law, next, left } => {
                 if *left == 0 {

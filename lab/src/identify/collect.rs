@@ -19,35 +19,45 @@ use singletrack_record::{Entry, Reader, TelemetryRecord, TickRecord, Topic, seco
 use super::{Identified, LogScore};
 use crate::Result;
 
+/// Drives on one clock, one after another.
+#[derive(Clone, Debug)]
+pub(super) struct Drives {
+    /// The car of the configuration that the first was driven with.
+    pub(super) vehicle: VehicleParameters,
+    /// Dead time and lag of the steering, in s, of a configuration that says them.
+    pub(super) steering: Option<[f64; 2]>,
+    /// What was measured, in s since the first drive began.
+    pub(super) data: DriveData,
+    /// The periods that begin a servo pulse, if they are known of every drive.
+    pub(super) frames: Option<ServoFrames>,
+    parts: Vec<Part>,
+}
+
 /// A drive of a record.
 #[derive(Clone, Debug)]
-pub struct RecordedDrive {
-    /// The record.
-    pub path: PathBuf,
-    /// The drive's number in it, from 1.
-    pub number: usize,
-    /// The car of the configuration that it was driven with.
-    pub vehicle: VehicleParameters,
-    /// Dead time and lag of the steering, in s, of a configuration that says them.
-    pub steering: Option<[f64; 2]>,
-    /// What was measured, in s since the drive began.
-    pub data: DriveData,
-    /// The periods that begin a servo pulse, if they are known.
-    pub frames: Option<ServoFrames>,
-    /// Notes on the record for the reader of the result.
-    pub notes: Vec<String>,
+struct Part {
+    path: PathBuf,
+    /// Its number in the record, from 1.
+    drive: usize,
+    span: Span,
 }
 
 /// Servo pulses and samples are used from this time before the drive on, in ns.
 const LEAD_NS: u64 = 1_000_000_000;
 
 /// Reads the drive with this number, from 1, or the longest. `config` replaces the configuration that it
-/// was driven with.
+/// was driven with. `note` is told the record, and what a
+/// reader of the result has to know.
 ///
 /// # Errors
 ///
 /// When there is none, or the record can't be read.
-pub fn read(path: &Path, number: Option<usize>, config: Option<&Config>) -> Result<RecordedDrive> {
+pub(super) fn read(
+    path: &Path,
+    number: Option<usize>,
+    config: Option<&Config>,
+    note: impl Fn(&Path, &str),
+) -> Result<Drives> {
     let record = plot::Record::read(path)?;
     let (number, drive) = record.choose(number)?;
     let name = path.display();
@@ -83,38 +93,42 @@ pub fn read(path: &Path, number: Option<usize>, config: Option<&Config>) -> Resu
     let mut reader = Reader::open(&record.path)?.only(&[Topic::Tick, Topic::Telemetry]);
     // The notes already report the damage.
     reader.take_undamaged(|entry| collector.take(entry))?;
-    let mut notes = record.notes.clone();
+    let note = |text: &str| note(&record.path, text);
+    record.notes.iter().for_each(|text| note(text));
     let count = record.recording.drives.len();
     if count > 1 {
-        notes.push(format!(
+        note(&format!(
             "drive {number} of {count}, {:.1} s; choose another with --drive",
             drive.duration()
         ));
     }
     if !collector.has_accelerometer() {
-        notes.push(
+        note(
             "it has no accelerometer: the forward acceleration is that of the cameras, and nothing is compared \
-             with an acceleration to the left"
-                .to_owned(),
+             with an acceleration to the left",
         );
     }
     let frames = collector.frames();
     if frames.is_some() {
-        notes.push(
-            "it has no telemetry of a board: the commands stand for the servo's pulses".to_owned(),
-        );
+        note("it has no telemetry of a board: the commands stand for the servo's pulses");
     }
-    Ok(RecordedDrive {
-        path: record.path.clone(),
-        number,
+    let data = collector.until(end_ns);
+    let model = config.actuators.model();
+    let is_said = config.actuators != ActuatorsSection::default();
+    let start_s = times(&data).fold(f64::INFINITY, f64::min);
+    Ok(Drives {
         vehicle: config.vehicle,
-        steering: (config.actuators != ActuatorsSection::default()).then(|| {
-            let model = config.actuators.model();
-            [model.steering_dead_time, model.steering_lag]
-        }),
-        data: collector.until(end_ns),
+        steering: is_said.then_some([model.steering_dead_time, model.steering_lag]),
         frames,
-        notes,
+        parts: vec![Part {
+            path: record.path.clone(),
+            drive: number,
+            span: Span {
+                start_s,
+                end_s: times(&data).fold(start_s, f64::max),
+            },
+        }],
+        data,
     })
 }
 
@@ -309,73 +323,36 @@ fn push_later<T>(samples: &mut Vec<T>, sample: T, time_s: fn(&T) -> f64) {
     }
 }
 
-/// Drives on one clock, one after another.
-#[derive(Clone, Debug)]
-pub(super) struct Drives {
-    /// The car of the first.
-    pub(super) vehicle: VehicleParameters,
-    /// Its steering, see [`RecordedDrive::steering`].
-    pub(super) steering: Option<[f64; 2]>,
-    pub(super) data: DriveData,
-    /// The periods that begin a servo pulse, if they are known of every drive.
-    pub(super) frames: Option<ServoFrames>,
-    parts: Vec<Part>,
-}
-
-#[derive(Clone, Debug)]
-struct Part {
-    path: PathBuf,
-    drive: usize,
-    span: Span,
-}
-
 /// Between two drives, in s: longer than any gap that a fit bridges.
 const BETWEEN: f64 = 10.0;
 
 impl Drives {
-    pub(super) fn of(first: RecordedDrive, others: Vec<RecordedDrive>) -> Self {
-        let mut all = Self {
-            vehicle: first.vehicle,
-            steering: first.steering,
-            data: DriveData::default(),
-            frames: first.frames,
-            parts: Vec::new(),
+    /// Adds a drive, a while after the last one.
+    pub(super) fn push(&mut self, mut other: Self) {
+        let Some(last) = self.parts.last() else {
+            return;
         };
-        all.push(first);
-        for other in others {
-            all.push(other);
-        }
-        all
-    }
-
-    fn push(&mut self, mut drive: RecordedDrive) {
-        let from = times(&drive.data).fold(f64::INFINITY, f64::min);
-        let after = self.parts.last().map(|part| part.span.end_s + BETWEEN);
-        // The first keeps its times.
-        let shift = after.map_or(0.0, |after| after - from);
+        let from = times(&other.data).fold(f64::INFINITY, f64::min);
+        let shift = last.span.end_s + BETWEEN - from;
         let DriveData {
             poses,
             inertial,
             servo,
-        } = &mut drive.data;
+        } = &mut other.data;
         poses.iter_mut().for_each(|pose| pose.time_s += shift);
         inertial
             .iter_mut()
             .for_each(|sample| sample.time_s += shift);
         servo.iter_mut().for_each(|target| target.time_s += shift);
-        let end_s = times(&drive.data).fold(from + shift, f64::max);
-        self.parts.push(Part {
-            path: drive.path,
-            drive: drive.number,
-            span: Span {
-                start_s: from + shift,
-                end_s,
-            },
-        });
-        self.data.poses.append(&mut drive.data.poses);
-        self.data.inertial.append(&mut drive.data.inertial);
-        self.data.servo.append(&mut drive.data.servo);
-        self.frames = self.frames.filter(|frames| drive.frames == Some(*frames));
+        self.data.poses.append(poses);
+        self.data.inertial.append(inertial);
+        self.data.servo.append(servo);
+        self.parts.extend(other.parts.into_iter().map(|mut part| {
+            part.span.start_s += shift;
+            part.span.end_s += shift;
+            part
+        }));
+        self.frames = self.frames.filter(|frames| other.frames == Some(*frames));
     }
 
     pub(super) fn failed(&self, error: &IdentificationError) -> String {

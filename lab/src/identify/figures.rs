@@ -120,16 +120,20 @@ fn states(points: &[SimulationPoint], which: &str) -> Figure {
             ..Panel::new(Axis::TIME, Axis::new(quantity, Some(symbol), unit))
         }
     };
-    let mut panels = vec![
+    let panels = vec![
         panel("yaw", Symbol::new("ψ", ""), "rad", |point| {
             [point.measured_yaw_rad, point.yaw_rad]
         }),
         panel("yaw rate", Symbol::new("r", ""), "rad/s", |point| {
             [point.measured_yaw_rate_rad_s, point.yaw_rate_rad_s]
         }),
-        panel("sideslip", Symbol::new("β", ""), "rad", |point| {
-            [point.measured_sideslip_rad, point.sideslip_rad]
-        }),
+        Panel {
+            // Two in a row.
+            begins_row: true,
+            ..panel("sideslip", Symbol::new("β", ""), "rad", |point| {
+                [point.measured_sideslip_rad, point.sideslip_rad]
+            })
+        },
         panel(
             "lateral acceleration",
             Symbol::new("a", "y"),
@@ -137,10 +141,6 @@ fn states(points: &[SimulationPoint], which: &str) -> Figure {
             |point| [point.measured_left_m_s2, point.left_m_s2],
         ),
     ];
-    // Two in a row.
-    if let Some(third) = panels.get_mut(2) {
-        third.begins_row = true;
-    }
     Figure::page(
         "Measured and simulated states",
         format!(

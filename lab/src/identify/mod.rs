@@ -11,7 +11,7 @@ use std::{
     time::Duration,
 };
 
-use clap::{Args, ValueEnum};
+use clap::{Parser, ValueEnum};
 use indicatif::ProgressBar;
 use singletrack_analysis::identification::{self, Parameter, Settings, Tyres};
 use singletrack_control::SlipAngles;
@@ -20,13 +20,13 @@ use singletrack_figures::output::{WriteError, make_folder, write as write_file};
 
 use crate::{Format, Result, print, vehicle_file};
 
-use collect::Drives;
-pub use collect::{Collector, RecordedDrive, read};
+pub use collect::Collector;
+use collect::read;
 pub use figures::figures;
 pub use output::{Identified, LogScore, Report};
 
 /// Options of `singletrack identify`.
-#[derive(Clone, Debug, Args)]
+#[derive(Clone, Debug, Parser)]
 pub struct IdentifyArgs {
     /// The records of drives (*.mcap), a minute of weaving at 1.5 m/s or more; of several, one fit.
     #[arg(required = true)]
@@ -86,6 +86,17 @@ pub struct IdentifyArgs {
     /// Whether the nominal car is validated on the same drives.
     #[arg(skip)]
     pub validate_nominal: bool,
+}
+
+impl IdentifyArgs {
+    /// The options of the command line with these records alone.
+    pub(crate) fn of(record: Vec<PathBuf>, validate: Vec<PathBuf>) -> Self {
+        Self {
+            record,
+            validate,
+            ..Self::parse_from(["singletrack identify", "RECORD"])
+        }
+    }
 }
 
 /// The tyres' force over their slip.
@@ -199,12 +210,13 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report> {
     }
     let read_all = |paths: &[PathBuf], number| {
         let drives = paths.iter();
-        let drives = drives.map(|path| read(path, number, config.as_ref()).map(told));
+        let note = |record: &Path, text: &str| print_note(&format!("{}: {text}", record.display()));
+        let drives = drives.map(|path| read(path, number, config.as_ref(), note));
         drives.collect::<Result<Vec<_>>>()
     };
     let mut recorded = read_all(&args.record, args.drive)?.into_iter();
-    let first = recorded.next().ok_or("give the record of a drive")?;
-    let drives = Drives::of(first, recorded.collect());
+    let mut drives = recorded.next().ok_or("give the record of a drive")?;
+    recorded.for_each(|other| drives.push(other));
     let vehicle = given.unwrap_or(drives.vehicle);
     let settings = Settings {
         tyres: args.tyres.tyres(),
@@ -230,7 +242,6 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report> {
     let (mut validated, mut not_validated) = (Vec::new(), Vec::new());
     let mut nominal_validated = Vec::new();
     for other in validation {
-        let other = Drives::of(other, Vec::new());
         let settings = Settings {
             frames: other.frames,
             ..settings.clone()
@@ -317,13 +328,6 @@ pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>> {
         paths.push(path);
     }
     Ok(paths)
-}
-
-fn told(recorded: RecordedDrive) -> RecordedDrive {
-    for note in &recorded.notes {
-        print_note(&format!("{}: {note}", recorded.path.display()));
-    }
-    recorded
 }
 
 /// Prints a line on standard error, which may be closed.

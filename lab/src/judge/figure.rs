@@ -3,6 +3,7 @@
 use core::f64::consts::{PI, TAU};
 
 use singletrack_commissioning::seen::ghosts_of;
+use singletrack_control::statistics::Distribution;
 use singletrack_control::{PoseVerdict, Time};
 use singletrack_figures::figure::{
     Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol,
@@ -88,21 +89,14 @@ pub(super) fn of(run: &Run) -> Figure {
 /// How often the NIS of a pose is larger than a value.
 fn distribution(run: &Run) -> Panel {
     const POINTS: i32 = 60;
-    let mut found: Vec<f64> = run
-        .poses
-        .iter()
-        .filter(|judged| judged.settled && score::counts(judged.seen.kind))
-        .filter_map(|judged| judged.innovation)
-        .collect();
-    found.sort_by(f64::total_cmp);
+    let poses = run.poses.iter();
+    let counted = poses.filter(|judged| judged.settled && score::counts(judged.seen.kind));
+    let found = Distribution::of(counted.filter_map(|judged| judged.innovation));
     let values: Column = (0..=POINTS)
         .map(|point| libm::pow(10.0, -1.0 + 3.5 * f64::from(point) / f64::from(POINTS)))
         .collect();
-    let least = 1.0 / found.len().max(1) as f64;
-    let larger = |value: f64| {
-        let smaller = found.partition_point(|innovation| *innovation <= value);
-        1.0 - smaller as f64 * least
-    };
+    let least = 1.0 / found.count().max(1) as f64;
+    let larger = |value: f64| 1.0 - found.count_up_to(value) as f64 * least;
     let shown = |share: f64| if share < least { f64::NAN } else { share };
     let share = values.iter().map(|value| shown(larger(*value))).collect();
     let stated = values.iter().map(|value| shown(chi_square_3(*value)));
@@ -129,7 +123,7 @@ fn spectra(run: &Run) -> Panel {
     let curve = |name, look, axis: usize| {
         let moving = rows.iter().filter(|row| row.2.forward > SLOWEST);
         let samples: Vec<(Time, f64)> = moving
-            .filter_map(|(time, _, _, differences)| Some((*time, *differences.get(axis)?)))
+            .map(|(time, _, _, differences)| (*time, differences[axis]))
             .filter(|(_, difference)| difference.is_finite())
             .collect();
         let (frequency, density): (Vec<f64>, Vec<f64>) = density(&samples).into_iter().unzip();
@@ -166,10 +160,7 @@ const APART: f64 = 1.5;
 pub(super) fn density(samples: &[(Time, f64)]) -> Vec<(f64, f64)> {
     let mut intervals: Vec<f64> = samples
         .windows(2)
-        .filter_map(|pair| match pair {
-            [(one, _), (other, _)] => Some(other.seconds_since(*one)),
-            _ => None,
-        })
+        .map(|pair| pair[1].0.seconds_since(pair[0].0))
         .collect();
     intervals.sort_by(f64::total_cmp);
     let Some(&interval) = intervals.get(intervals.len() / 2) else {
@@ -178,10 +169,8 @@ pub(super) fn density(samples: &[(Time, f64)]) -> Vec<(f64, f64)> {
     let mut sums = [0.0; SEGMENT / 2];
     let mut segments = 0.0;
     for segment in samples.windows(SEGMENT).step_by(SEGMENT / 2) {
-        let whole = segment.windows(2).all(|pair| match pair {
-            [(one, _), (other, _)] => other.seconds_since(*one) < APART * interval,
-            _ => false,
-        });
+        let mut steps = segment.windows(2);
+        let whole = steps.all(|pair| pair[1].0.seconds_since(pair[0].0) < APART * interval);
         if !whole {
             continue;
         }

@@ -4,7 +4,6 @@
 //! supervisor see what they would have seen. Its estimate is held against the cameras, smoothed
 //! with what came after.
 
-mod bends;
 mod figure;
 mod run;
 mod score;
@@ -22,9 +21,8 @@ use singletrack_record::Reader;
 
 use crate::{Format, Result, print};
 
-pub use bends::Bends;
 pub use run::Stop;
-pub use score::{Noise, Verdict};
+pub use score::{Bends, Noise, Verdict};
 
 use run::Log;
 

@@ -12,7 +12,7 @@ use singletrack_scenario::{
 
 use super::{
     GAIN, Setup, TURN_RATE,
-    claims::{Scope, below, near},
+    claims::{Below, Near, Scope},
     drive::{Drives, Experiment, PLANTS, Run},
     largest, least, pictures,
     section::{Picture, Section},
@@ -179,7 +179,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         "amplitude and lag of the last turn, from four starts; to a path of its own: see below",
     );
     for (label, plant, tolerance) in plants(["apart, ideal", "apart, car"], [1e-4, 0.01]) {
-        claim.number(label, spread(drives, plant), near(0.0, tolerance));
+        claim.number(label, spread(drives, plant), Near(0.0, tolerance));
     }
     let claim = section.claim(
         ("circle-amplitude", Scope::AnyCar, "m"),
@@ -193,8 +193,8 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
     );
     for (label, plant, tolerance) in plants(["ideal", "car"], [1e-5, 0.02]) {
         let value = of(drives, "outside", plant, amplitude);
-        let same = near(radius, 0.01 * radius);
-        claim.slip(label, value, same, near(reach, tolerance * radius));
+        let same = Near(radius, 0.01 * radius);
+        claim.slip(label, value, same, Near(reach, tolerance * radius));
     }
     let claim = section.claim(
         ("circle-lag", Scope::AnyCar, "rad"),
@@ -210,7 +210,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         plants(["on the path, ideal", "on the path, car"], [1e-5, 0.02])
     {
         let value = of(drives, "on-the-path", plant, lag);
-        claim.slip(label, value, near(0.0, 0.01), near(behind, tolerance));
+        claim.slip(label, value, Near(0.0, 0.01), Near(behind, tolerance));
     }
     let claim = section.claim(
         ("circle-linear-tools", Scope::AnyCar, "m"),
@@ -222,7 +222,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
     );
     for (label, plant, tolerance) in plants(["error, ideal", "error, car"], [1e-4 * radius, 0.02]) {
         let value = of(drives, FEED_FORWARD, plant, error);
-        claim.number(label, value, near(0.0, tolerance));
+        claim.number(label, value, Near(0.0, tolerance));
     }
     let apart = drives.get(LOST, "car").zip(drives.get("outside", "car"));
     let apart = apart.map(|(lost, seen)| lost.largest_difference(seen));
@@ -234,7 +234,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
              circle stand still now and then, too: taken as below 0.1 m",
             "a loss of 200 ms every 5 s, against the same drive without them",
         )
-        .number("car", apart, below(0.1));
+        .number("car", apart, Below(0.1));
     section
         .claim(
             ("circle-carpet", Scope::RealCar, "m"),
@@ -244,8 +244,8 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
              would touch the edges, and a start outside of the circle is in a corner or off the \
              carpet",
         )
-        .number("reference", 2.0 * radius, near(2.0, 1e-9))
-        .number("P", 2.0 * reach, below(2.0));
+        .number("reference", 2.0 * radius, Near(2.0, 1e-9))
+        .number("P", 2.0 * reach, Below(2.0));
     let claim = section.claim(
         ("circle-satisfactory", Scope::Nobody, "m"),
         "The tracking of the circle is satisfactory",
@@ -256,7 +256,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
     );
     for (label, plant, tolerance) in plants(["ideal", "car"], [1e-3, 0.02]) {
         let value = of(drives, "outside", plant, error);
-        claim.number(label, value, near(distance, tolerance));
+        claim.number(label, value, Near(distance, tolerance));
     }
 }
 

@@ -9,30 +9,20 @@ use super::text::number;
 /// The condition under which a number agrees. A number that is not finite never does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Criterion {
-    /// Within a tolerance of a value.
-    Near { value: f64, tolerance: f64 },
+    /// Near a value: within a tolerance.
+    Near(f64, f64),
     /// Below a bound.
     Below(f64),
     /// Above a bound.
     Above(f64),
 }
 
-pub(super) const fn near(value: f64, tolerance: f64) -> Criterion {
-    Criterion::Near { value, tolerance }
-}
-
-pub(super) const fn below(bound: f64) -> Criterion {
-    Criterion::Below(bound)
-}
-
-pub(super) const fn above(bound: f64) -> Criterion {
-    Criterion::Above(bound)
-}
+pub(super) use Criterion::{Above, Below, Near};
 
 impl Criterion {
     fn holds(self, measured: f64) -> bool {
         match self {
-            Self::Near { value, tolerance } => (measured - value).abs() <= tolerance,
+            Self::Near(value, tolerance) => (measured - value).abs() <= tolerance,
             Self::Below(bound) => measured < bound,
             Self::Above(bound) => measured > bound,
         }
@@ -42,10 +32,10 @@ impl Criterion {
 impl fmt::Display for Criterion {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Self::Near { value, tolerance } if tolerance > 0.0 => {
+            Self::Near(value, tolerance) if tolerance > 0.0 => {
                 write!(formatter, "{} ± {}", number(value), number(tolerance))
             }
-            Self::Near { value, .. } => formatter.write_str(&number(value)),
+            Self::Near(value, _) => formatter.write_str(&number(value)),
             Self::Below(bound) => write!(formatter, "below {}", number(bound)),
             Self::Above(bound) => write!(formatter, "above {}", number(bound)),
         }
@@ -223,8 +213,8 @@ mod tests {
     use super::*;
     use crate::reproduce::section::Section;
 
-    const ONE: Criterion = near(1.0, 0.01);
-    const LESS: Criterion = near(0.894, 0.001);
+    const ONE: Criterion = Near(1.0, 0.01);
+    const LESS: Criterion = Near(0.894, 0.001);
 
     /// The verdict on a number, and whether it is unexpected.
     fn verdict(
@@ -274,9 +264,9 @@ mod tests {
 
     #[test]
     fn bounds_are_strict() {
-        assert!(below(90.0).holds(89.9) && !below(90.0).holds(90.0));
-        assert!(above(0.0).holds(1e-9) && !above(0.0).holds(0.0));
-        assert!(!below(0.0).holds(f64::NAN) && !above(0.0).holds(f64::NAN));
+        assert!(Below(90.0).holds(89.9) && !Below(90.0).holds(90.0));
+        assert!(Above(0.0).holds(1e-9) && !Above(0.0).holds(0.0));
+        assert!(!Below(0.0).holds(f64::NAN) && !Above(0.0).holds(f64::NAN));
     }
 
     #[test]

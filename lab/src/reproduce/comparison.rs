@@ -11,7 +11,7 @@ use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel};
 
 use super::{
     Setup, assumptions,
-    claims::{Scope, above, below, near},
+    claims::{Above, Below, Near, Scope},
     diagrams,
     drive::{Drives, Experiment, Run},
     largest, pictures,
@@ -143,8 +143,8 @@ fn claims(
              and 0",
             "v = 0 divides the yaw rate in equation 11; equation 8 has no v below a line",
         )
-        .number("proposed", proposed, near(1.0, 0.0))
-        .number("appendix's", appendix, near(0.0, 0.0));
+        .number("proposed", proposed, Near(1.0, 0.0))
+        .number("appendix's", appendix, Near(0.0, 0.0));
     section
         .claim(
             ("compare-right", Scope::AnyCar, "m"),
@@ -152,8 +152,8 @@ fn claims(
             "equations 7 and 11: deviation 0",
             "the open-loop steps on the ideal plant",
         )
-        .number("proposed", right[0], near(0.0, 1e-6))
-        .number("appendix's", right[1], near(0.0, 1e-6));
+        .number("proposed", right[0], Near(0.0, 1e-6))
+        .number("appendix's", right[1], Near(0.0, 1e-6));
     section
         .claim(
             ("compare-wrong-proposed", Scope::AnyCar, "m"),
@@ -161,7 +161,7 @@ fn claims(
             "robust: at most 2 dl",
             "2 |dl sin(Δψ/2)|",
         )
-        .number("proposed", wrong[0], below(2.000_002 * dl));
+        .number("proposed", wrong[0], Below(2.000_002 * dl));
     section
         .claim(
             ("compare-wrong-appendix", Scope::PaperCar, "m"),
@@ -171,7 +171,7 @@ fn claims(
             "at these speeds the motion is unstable with 10 mm: the steering diverges at the \
              first turn, until the speed is zero and the law has no answer",
         )
-        .number("appendix's", wrong[1], above(setup.vehicle.wheelbase_m()));
+        .number("appendix's", wrong[1], Above(setup.vehicle.wheelbase_m()));
     section
         .claim(
             ("compare-parameters", Scope::AnyCar, "m"),
@@ -182,7 +182,7 @@ fn claims(
             ),
             "it uses none of them",
         )
-        .number("proposed", parameters[0], near(0.0, 1e-6));
+        .number("proposed", parameters[0], Near(0.0, 1e-6));
     section
         .claim(
             ("compare-parameters-appendix", Scope::PaperCar, "m"),
@@ -193,7 +193,7 @@ fn claims(
             ),
             "the worst of the six; the motion stays stable, but P is not where it should be",
         )
-        .number("appendix's", parameters[1], above(0.01));
+        .number("appendix's", parameters[1], Above(0.01));
     section
         .claim(
             ("compare-stiffnesses", Scope::PaperCar, ""),
@@ -204,7 +204,7 @@ fn claims(
             ),
             "nine speeds from 0.1 to 8 m/s, nine combinations, Hurwitz' criterion",
         )
-        .number("unstable of 81", unstable, near(0.0, 0.0));
+        .number("unstable of 81", unstable, Near(0.0, 0.0));
     let apart = assumptions::measured_point(setup);
     section
         .claim(
@@ -216,7 +216,7 @@ fn claims(
              and sideslip refer. Any point of the axis gives the same commands; the centre of \
              mass need not be known",
         )
-        .number("commands differ by", apart, near(0.0, 1e-9));
+        .number("commands differ by", apart, Near(0.0, 1e-9));
 }
 
 /// Whether each law has a solution for a car at standstill that is to stay there.

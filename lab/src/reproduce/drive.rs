@@ -258,12 +258,8 @@ impl Run {
 
     /// The length of P's path, in m.
     pub(super) fn path(&self) -> f64 {
-        self.rows
-            .windows(2)
-            .map(|pair| match pair {
-                [one, next] => (next.x_p - one.x_p).hypot(next.y_p - one.y_p),
-                _ => 0.0,
-            })
-            .sum()
+        let steps = self.rows.iter().zip(self.rows.iter().skip(1));
+        let lengths = steps.map(|(one, next)| (next.x_p - one.x_p).hypot(next.y_p - one.y_p));
+        lengths.sum()
     }
 }

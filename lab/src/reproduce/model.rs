@@ -10,14 +10,14 @@ use singletrack_sim::CarTruth;
 
 use super::{
     Setup, assumptions,
-    claims::{Scope, above, near},
+    claims::{Above, Near, Scope},
     diagrams, largest, least,
     section::{Picture, Section},
     text::with_digits,
 };
 use crate::{
-    Format, Result,
-    identify::{self, IdentifyArgs, Report, SlipAngleKind, TyreKind},
+    Result,
+    identify::{self, IdentifyArgs, Report},
     table::Table,
     vehicle_file,
 };
@@ -83,18 +83,9 @@ fn identified(setup: &Setup, structure: Structure, parameters: &[Parameter]) -> 
     let vehicle = vehicle_file::text(first)?;
     std::fs::write(&start, vehicle).map_err(temporary)?;
     identify::identify(&IdentifyArgs {
-        record: vec![record],
-        validate: vec![other],
-        config: None,
         vehicle: Some(start),
         parameters: parameters.to_vec(),
-        tyres: TyreKind::Saturating,
-        slip_angles: SlipAngleKind::Small,
-        drive: None,
-        least_speed: 0.5,
-        out: None,
-        format: Format::Table,
-        validate_nominal: false,
+        ..IdentifyArgs::of(vec![record], vec![other])
     })
 }
 
@@ -154,12 +145,8 @@ const WITH_FRICTION: [Parameter; 4] = [
     Parameter::Friction,
 ];
 
-/// The parameters that the paper identifies, as a figure and as a page sets them.
-const NAMES: [(&str, &str); 3] = [
-    ("$C_f$", "C<sub>f</sub>"),
-    ("$C_r$", "C<sub>r</sub>"),
-    ("$I_z$", "I<sub>z</sub>"),
-];
+/// The parameters that the paper identifies, as a page sets them.
+const NAMES: [&str; 3] = ["C<sub>f</sub>", "C<sub>r</sub>", "I<sub>z</sub>"];
 
 /// The validation on the other drive.
 fn validation(report: &Report) -> Option<&Identification> {
@@ -223,9 +210,9 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
             "from a minute of the simulated car, whose plant shares the code of the axles with \
              model and fit: it tests the fit, not the model",
         )
-        .number("C_f off by", c_f, near(0.0, 10.0))
-        .number("C_r off by", c_r, near(0.0, 3.0))
-        .number("I_z off by", i_z, near(0.0, 10.0));
+        .number("C_f off by", c_f, Near(0.0, 10.0))
+        .number("C_r off by", c_r, Near(0.0, 3.0))
+        .number("I_z off by", i_z, Near(0.0, 10.0));
     section
         .claim(
             ("friction-identified", Scope::RealCar, "%"),
@@ -233,7 +220,7 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
             "0.25 in the table of identified data; no interval: taken as within 10 %",
             "with C_f, C_r and I_z from the same drive, whose tyres saturate",
         )
-        .number("off by", friction, near(0.0, 10.0));
+        .number("off by", friction, Near(0.0, 10.0));
     let [c_f, c_r, i_z] = Parameter::VEHICLE.map(|one| error_of(other, one));
     section
         .claim(
@@ -243,9 +230,9 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
             "the car that is driven has exact slip angles and the tyres of the magic formula, with \
              the same stiffnesses; the fitted model has small angles and tyres of its own",
         )
-        .number("C_f off by", c_f, near(0.0, 20.0))
-        .number("C_r off by", c_r, near(0.0, 20.0))
-        .number("I_z off by", i_z, near(0.0, 20.0));
+        .number("C_f off by", c_f, Near(0.0, 20.0))
+        .number("C_r off by", c_r, Near(0.0, 20.0))
+        .number("I_z off by", i_z, Near(0.0, 20.0));
     let fit = |output| fit(report?, output);
     section
         .claim(
@@ -256,8 +243,8 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
             "the simulated car's tyres saturate at μ = 0.25, and so do those of the model that \
              is fitted here; the paper's are linear",
         )
-        .number("yaw rate", fit(Output::YawRate), above(80.0))
-        .number("sideslip", fit(Output::Sideslip), above(80.0));
+        .number("yaw rate", fit(Output::YawRate), Above(80.0))
+        .number("sideslip", fit(Output::Sideslip), Above(80.0));
     let errors = report.and_then(normalised_errors);
     let nmpe = section.claim(
         ("model-nmpe", Scope::Nobody, ""),
@@ -274,7 +261,7 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
     .into_iter()
     .enumerate()
     {
-        nmpe.number(label, errors.map(|errors| errors[index]), near(0.58, 0.005));
+        nmpe.number(label, errors.map(|errors| errors[index]), Near(0.58, 0.005));
     }
     section
         .claim(
@@ -285,7 +272,7 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
             "both laws, with a car 10 times as long and 850 times as heavy on a time scale √10 \
              times as long; gravity and friction enter only where the tyres slide",
         )
-        .number("differ by", assumptions::similitude(setup), near(0.0, 1e-9));
+        .number("differ by", assumptions::similitude(setup), Near(0.0, 1e-9));
     let [model, exact] = [SlipAngles::Small, SlipAngles::Exact]
         .map(|angles| assumptions::steering_on_circle(setup, angles));
     section
@@ -297,7 +284,7 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
             "the model steers 0.3286 rad where a car with exact slip angles and cos δ, and the \
              same linear tyres, steers 0.3226 rad",
         )
-        .number("off by", 100.0 * (model / exact - 1.0), near(0.0, 5.0));
+        .number("off by", 100.0 * (model / exact - 1.0), Near(0.0, 5.0));
 }
 
 /// The data behind the pictures.
@@ -337,7 +324,7 @@ fn plates(setup: &Setup, report: &Report, section: &mut Section) {
     let estimates: Vec<String> = Parameter::VEHICLE
         .into_iter()
         .zip(NAMES)
-        .filter_map(|(parameter, (_, html))| {
+        .filter_map(|(parameter, html)| {
             let estimate = found.estimate(parameter)?;
             let truth = truth(&setup.vehicle, parameter);
             Some(format!(

@@ -16,7 +16,7 @@ use singletrack_scenario::csv_text::csv_text;
 
 use super::{
     Reproduction,
-    claims::{Claim, Verdict},
+    claims::{Claim, Quantity, Verdict},
     section::{Plate, Section},
     surprises,
     text::{number, with_digits},
@@ -231,7 +231,7 @@ fn counts(reproduction: &Reproduction) -> String {
 fn measured(claim: &Claim) -> Vec<String> {
     let quantities = claim.quantities.iter();
     quantities
-        .map(|super::claims::Quantity { label, value, .. }| match value {
+        .map(|Quantity { label, value, .. }| match value {
             None => format!("{label}: none"),
             // No line break between number and unit.
             Some(value) => format!("{label}: {}\u{a0}{}", with_digits(*value, 4), claim.unit)
@@ -346,12 +346,10 @@ fn typeset(text: &str) -> String {
 
 fn row(claim: &Claim) -> String {
     let class = class(claim);
-    let surprise = claim
-        .surprise
-        .as_ref()
-        .map_or_else(String::new, |surprise| {
-            format!("<strong>Unexpected: {}.</strong> ", escaped(surprise))
-        });
+    let surprise = claim.surprise.iter();
+    let surprise: String = surprise
+        .map(|text| format!("<strong>Unexpected: {}.</strong> ", escaped(text)))
+        .collect();
     let measured: Vec<String> = measured(claim).iter().map(|line| typeset(line)).collect();
     format!(
         "<tr id=\"{}\" class=\"{class}\"><td><a href=\"#section-{}\">{}</a></td><td>{}</td>\
@@ -474,7 +472,7 @@ mod tests {
     use crate::{
         reproduce::{
             Setup,
-            claims::{Scope, near},
+            claims::{Near, Scope},
         },
         table::Table,
     };
@@ -568,7 +566,7 @@ mod tests {
             "1 m",
             "it is so",
         );
-        claim.number("ideal", 2.0, near(1.0, 0.1)).judge(true);
+        claim.number("ideal", 2.0, Near(1.0, 0.1)).judge(true);
         let mut reproduction = reproduction();
         reproduction.sections.push(section);
         assert_eq!(surprises(reproduction.claims()), 1);

@@ -5,7 +5,7 @@ use singletrack_analysis::stability::{ClosedLoop, Law, MarginLimits};
 
 use super::{
     Setup,
-    claims::{Scope, below, near},
+    claims::{Below, Near, Scope},
     largest,
     section::{Picture, Section},
     stability::{scene, subject},
@@ -64,7 +64,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
             "up to 5 m/s, with a pose at every tick and wheels that follow at once; the paper \
              leaves this out",
         )
-        .number("largest radius", largest, below(1.0));
+        .number("largest radius", largest, Below(1.0));
     section
         .claim(
             ("sampled-servo", Scope::Nobody, "m/s"),
@@ -74,7 +74,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
              pulse every 20 ms and a yaw rate 15 ms old, over the whole meaningful range; with \
              the pilot's compensation up to 7.6 m/s",
         )
-        .number("up to", first, near(2.90, 0.01));
+        .number("up to", first, Near(2.90, 0.01));
     if map.is_empty() {
         return section;
     }

@@ -10,7 +10,7 @@ use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symb
 
 use super::{
     Setup, assumptions,
-    claims::{Scope, above, below, near},
+    claims::{Above, Below, Near, Scope},
     largest, least,
     section::{Picture, Section},
     text::{metres, mm, number, told, with_digits},
@@ -192,7 +192,7 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
             "\"detected at negative values of dl\": below 0",
             "closed form: Hurwitz' determinant is quadratic in dl",
         )
-        .number("largest", highest, below(0.0));
+        .number("largest", highest, Below(0.0));
     section
         .claim(
             ("hopf-outside", Scope::PaperCar, "m"),
@@ -208,8 +208,8 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
                 mm(ahead - limit)
             ),
         )
-        .number("largest", highest, below(ahead))
-        .number("v → ∞", limit, below(ahead));
+        .number("largest", highest, Below(ahead))
+        .number("v → ∞", limit, Below(ahead));
     section
         .claim(
             ("hopf-subcritical", Scope::PaperCar, ""),
@@ -217,7 +217,7 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
             "\"subcritical Hopf bifurcations\": l₁ above 0",
             "exact derivatives; Kuznetsov's normalisation, on which the sign does not depend",
         )
-        .number("least l₁", least(curve.iter().map(l1)), above(0.0));
+        .number("least l₁", least(curve.iter().map(l1)), Above(0.0));
     section
         .claim(
             ("structurally-stable", Scope::PaperCar, ""),
@@ -225,7 +225,7 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
             "\"structurally asymptotically stable\": no unstable point",
             "Hurwitz' criterion at 201 values of dl and 9 speeds from 0.01 to 1000 m/s",
         )
-        .number("unstable points", unstable as f64, near(0.0, 0.0));
+        .number("unstable points", unstable as f64, Near(0.0, 0.0));
     section
         .claim(
             ("necessary-and-sufficient", Scope::PaperCar, ""),
@@ -236,8 +236,8 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
              they do, and the paper's gain of 1 takes no stability over the meaningful range and \
              gives none at the unstable ones of 147 motions beyond it, down to dl = −5 l_f",
         )
-        .number("unstable of 147", inside, near(0.0, 0.0))
-        .number("stable of 47", outside, near(0.0, 0.0));
+        .number("unstable of 147", inside, Near(0.0, 0.0))
+        .number("stable of 47", outside, Near(0.0, 0.0));
     let turned = assumptions::direction_matters(setup);
     section
         .claim(
@@ -246,7 +246,7 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
             "\"without loss of generality\": the same motion in every direction",
             "law and model turn with the world; four directions and four states",
         )
-        .number("differ by", turned, near(0.0, 1e-9));
+        .number("differ by", turned, Near(0.0, 1e-9));
     section
         .claim(
             ("point-stability", Scope::Nobody, "m"),
@@ -256,7 +256,7 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
              speed from this p on. With the servo of the simulated car the least p grows with \
              the speed",
         )
-        .number("p for every speed", smallest, near(0.35, 0.01));
+        .number("p for every speed", smallest, Near(0.35, 0.01));
     section.table("hopf-front-point", hopf_table(&curve));
     let mut pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
     pictures.push(lyapunov_picture("lyapunov-front-point", &curve));
@@ -361,10 +361,10 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
             "\"R(λ_i) < 0 for all i = 1, …, 4\": below 0",
             "over the map of speed and dl, sorted by real part",
         )
-        .number("λ₁ at most", front.first().copied(), below(0.0))
-        .number("λ₂ at most", front.get(1).copied(), below(0.0))
-        .number("λ₃ at most", front.get(2).copied(), below(0.0))
-        .number("λ₄ at most", front.get(3).copied(), below(0.0));
+        .number("λ₁ at most", front.first().copied(), Below(0.0))
+        .number("λ₂ at most", front.get(1).copied(), Below(0.0))
+        .number("λ₃ at most", front.get(2).copied(), Below(0.0))
+        .number("λ₄ at most", front.get(3).copied(), Below(0.0));
     section
         .claim(
             ("eigenvalues-appendix-count", Scope::AnyCar, ""),
@@ -373,7 +373,7 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
             "ξ̃ is yaw, yaw rate and sideslip: three states, as the law commands the steering \
              angle itself; and the paper shows three maps",
         )
-        .slip("eigenvalues", count, near(4.0, 0.0), near(3.0, 0.0));
+        .slip("eigenvalues", count, Near(4.0, 0.0), Near(3.0, 0.0));
     section
         .claim(
             ("eigenvalues-appendix-critical", Scope::PaperCar, ""),
@@ -384,8 +384,8 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
         .slip(
             "with R ≥ 0 in the range",
             critical,
-            near(1.0, 0.0),
-            near(2.0, 0.0),
+            Near(1.0, 0.0),
+            Near(2.0, 0.0),
         );
     section
 }
@@ -446,7 +446,7 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
             "\"for v = 0.1, the threshold value for dl is equal to 0.136 mm\"",
             "exact: with both distances wrong, on a wheelbase that is known",
         )
-        .number("l_f + dl and l_r − dl", both * 1000.0, near(0.136, 0.0005));
+        .number("l_f + dl and l_r − dl", both * 1000.0, Near(0.136, 0.0005));
     section
         .claim(
             ("appendix-threshold-front-only", Scope::PaperCar, "mm"),
@@ -461,8 +461,8 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
         .slip(
             "l_f + dl, l_r as it is",
             front * 1000.0,
-            near(0.136, 0.0005),
-            near(0.135_977_266 * stiffness_ratio, 1e-6),
+            Near(0.136, 0.0005),
+            Near(0.135_977_266 * stiffness_ratio, 1e-6),
         );
     section
         .claim(
@@ -472,8 +472,8 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
              and inside up to some speed",
             format!("the curve crosses l_r = {} m there", number(behind)),
         )
-        .number("least dl, m", lowest, above(0.0))
-        .number("inside up to, m/s", leaves, above(0.1));
+        .number("least dl, m", lowest, Above(0.0))
+        .number("inside up to, m/s", leaves, Above(0.1));
     section
         .claim(
             ("appendix-subcritical", Scope::PaperCar, ""),
@@ -481,7 +481,7 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
             "\"subcritical Hopf bifurcations\": l₁ above 0",
             "exact derivatives; it falls by five decades from 0.1 to 8 m/s",
         )
-        .number("least l₁", least(curve.iter().map(l1)), above(0.0));
+        .number("least l₁", least(curve.iter().map(l1)), Above(0.0));
     section.table("hopf-velocity-point", hopf_table(&curve));
     let mut pictures = region_picture(
         setup,

@@ -8,7 +8,7 @@ use singletrack_scenario::simulate::{MarkerLoss, PlantKind};
 
 use super::{
     Setup, assumptions,
-    claims::{Scope, above, below, near},
+    claims::{Above, Below, Near, Scope},
     diagrams,
     drive::{Drives, Experiment, PLANTS, Run},
     largest, least, pictures,
@@ -151,16 +151,14 @@ fn wheel_from_path(setup: &Setup, fraction: f64) -> Option<f64> {
         [row.x_p - p * cos, row.y_p - p * sin]
     });
     let distance = |[x, y]: [f64; 2]| {
-        let path = rows.windows(2).filter_map(|pair| match pair {
-            [one, next] => {
-                let along = [next.x_ref - one.x_ref, next.y_ref - one.y_ref];
-                let from = [x - one.x_ref, y - one.y_ref];
-                let length = along[0].powi(2) + along[1].powi(2);
-                let share = (from[0] * along[0] + from[1] * along[1]) / length;
-                let share = share.clamp(0.0, 1.0);
-                Some((from[0] - share * along[0]).hypot(from[1] - share * along[1]))
-            }
-            _ => None,
+        let path = rows.iter().zip(rows.iter().skip(1));
+        let path = path.map(|(one, next)| {
+            let along = [next.x_ref - one.x_ref, next.y_ref - one.y_ref];
+            let from = [x - one.x_ref, y - one.y_ref];
+            let length = along[0].powi(2) + along[1].powi(2);
+            let share = (from[0] * along[0] + from[1] * along[1]) / length;
+            let share = share.clamp(0.0, 1.0);
+            (from[0] - share * along[0]).hypot(from[1] - share * along[1])
         });
         least(path)
     };
@@ -189,7 +187,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
              deviation 0",
             "equations 4 to 7; the deviation left is the integrator's",
         )
-        .number("ideal", right, near(0.0, 1e-6));
+        .number("ideal", right, Near(0.0, 1e-6));
     section
         .claim(
             ("steps-close", Scope::PaperCar, "m"),
@@ -200,8 +198,8 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
                 metres(wheelbase)
             ),
         )
-        .number("ideal, dl = 0", right, below(wheelbase))
-        .number("ideal, dl = l_r", rear, below(wheelbase));
+        .number("ideal, dl = 0", right, Below(wheelbase))
+        .number("ideal, dl = l_r", rear, Below(wheelbase));
     section
         .claim(
             ("steps-close-car", Scope::RealCar, "m"),
@@ -211,8 +209,8 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             "most of it arises in the first second: the nominal P moves at once, the simulated \
              car has to start; there are no data of the real one to compare with",
         )
-        .number("dl = 0", largest("right", "car"), below(wheelbase))
-        .number("dl = l_r", largest("rear", "car"), below(wheelbase));
+        .number("dl = 0", largest("right", "car"), Below(wheelbase))
+        .number("dl = l_r", largest("rear", "car"), Below(wheelbase));
     section
         .claim(
             ("steps-losses", Scope::RealCar, "m"),
@@ -220,7 +218,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             "\"robust to this disturbance as well\"; no number: taken as below 0.1 m",
             "four losses of 200 ms against the same drive without them",
         )
-        .number("car", apart(drives, "right", SEEN), below(0.1));
+        .number("car", apart(drives, "right", SEEN), Below(0.1));
     section
         .claim(
             ("steps-uncertain-integrators", Scope::AnyCar, "m"),
@@ -232,7 +230,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
                 metres(2.0 * dl)
             ),
         )
-        .slip("ideal", rear, near(0.0, 1e-6), near(2.0 * dl, 1e-3 * dl));
+        .slip("ideal", rear, Near(0.0, 1e-6), Near(2.0 * dl, 1e-3 * dl));
     section
         .claim(
             ("steps-deviation-law", Scope::AnyCar, "m"),
@@ -240,7 +238,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             "equation 9, which integrates to a deviation of 2 |dl sin(Δψ/2)|",
             "the deviation measured, less the one of theory, at most",
         )
-        .number("residual, ideal", residual(setup, drives), near(0.0, 1e-6));
+        .number("residual, ideal", residual(setup, drives), Near(0.0, 1e-6));
     section
         .claim(
             ("singularity", Scope::AnyCar, ""),
@@ -249,7 +247,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             "the corner of the stated ranges is 40° + 50° = 90°, where the law refuses to \
              answer; with steering up to 26°, as the car has, it is out of reach",
         )
-        .slip(corner, cosine, above(0.1), near(0.0, 1e-15));
+        .slip(corner, cosine, Above(0.1), Near(0.0, 1e-15));
     let off = assumptions::error_of_any_p(setup);
     section
         .claim(
@@ -259,9 +257,9 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             "equation 7 makes P an integrator for every p from 0.01 to 5 m; whether the motion \
              is stable is another question",
         )
-        .number("off by", off, near(0.0, 1e-9));
+        .number("off by", off, Near(0.0, 1e-9));
     let [whole, half, quarter] = [1.0, 0.5, 0.25].map(|part| wheel_from_path(setup, part));
-    let nearer_than = |value: Option<f64>| below(value.unwrap_or(f64::NAN));
+    let nearer_than = |value: Option<f64>| Below(value.unwrap_or(f64::NAN));
     section
         .claim(
             ("point-near-wheel", Scope::PaperCar, "m"),
@@ -273,7 +271,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         )
         .number("p/4", quarter, nearer_than(half))
         .number("p/2", half, nearer_than(whole))
-        .number("p", whole, above(0.0));
+        .number("p", whole, Above(0.0));
 }
 
 /// A picture of each drive, with right and wrong parameters, on either plant.

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::{Args, Parser, ValueEnum};
 use singletrack_analysis::stability::{
     Ages, Belief, ClosedLoop, Compensation, Law, SampledLoop, SamplingError, Saturation, Servo,
     Timing,
@@ -67,19 +67,31 @@ pub(super) enum DrawnFormat {
     Svg,
 }
 
+impl CarArgs {
+    /// The car under a law with a wrong centre of mass.
+    pub(super) fn under(&self, law: Law) -> Result<Subject> {
+        Ok(Subject {
+            vehicle: vehicle_file::read_or_paper(self.vehicle.as_deref())?,
+            law,
+            belief: Belief::CentreOfMass,
+            point_distance: self.point_distance,
+        })
+    }
+}
+
 impl LoopArgs {
     pub(super) fn subject(&self) -> Result<Subject> {
+        let law = match self.law {
+            LawName::FrontPoint => Law::FrontPoint,
+            LawName::VelocityPoint => Law::VelocityPoint,
+        };
+        let belief = match self.wrong {
+            BeliefName::CentreOfMass => Belief::CentreOfMass,
+            BeliefName::FrontAxle => Belief::FrontAxle,
+        };
         Ok(Subject {
-            vehicle: vehicle_file::read_or_paper(self.car.vehicle.as_deref())?,
-            law: match self.law {
-                LawName::FrontPoint => Law::FrontPoint,
-                LawName::VelocityPoint => Law::VelocityPoint,
-            },
-            belief: match self.wrong {
-                BeliefName::CentreOfMass => Belief::CentreOfMass,
-                BeliefName::FrontAxle => Belief::FrontAxle,
-            },
-            point_distance: self.car.point_distance,
+            belief,
+            ..self.car.under(law)?
         })
     }
 }
@@ -144,7 +156,7 @@ impl SaturationArgs {
 }
 
 /// The timing of the sampled loop.
-#[derive(Clone, Copy, Debug, Args)]
+#[derive(Clone, Copy, Debug, Parser)]
 pub struct TimingArgs {
     /// Period of the controller, in ms
     #[arg(long, value_name = "MS", default_value_t = 10.0)]
@@ -256,20 +268,6 @@ impl TimingArgs {
 
 impl Default for TimingArgs {
     fn default() -> Self {
-        Self {
-            period_ms: 10.0,
-            delay_ms: 10.0,
-            marker_interval: 1,
-            position_gain: 0.0,
-            steering_lag_ms: 0.0,
-            steering_dead_time_ms: 0.0,
-            predict: false,
-            yaw_rate_age_ms: 0.0,
-            sideslip_age_ms: 0.0,
-            predicted_ticks: 0,
-            servo_frame: 1,
-            compensate: false,
-            modelled_dead_time_ms: 18.0,
-        }
+        Self::parse_from([""])
     }
 }

@@ -52,11 +52,9 @@ pub(super) fn run(args: &HopfArgs) -> Result {
 ///
 /// A speed or a car without a steady motion.
 pub fn hopf_curve(subject: &Subject, speeds: &Grid) -> Result<Vec<HopfPoint>, StabilityError> {
-    let mut curve = Vec::with_capacity(speeds.values().len());
-    for speed in speeds.values() {
-        curve.extend(subject.hopf_points(*speed)?);
-    }
-    Ok(curve)
+    let points = speeds.values().iter();
+    let points = points.map(|speed| subject.hopf_points(*speed));
+    Ok(points.collect::<Result<Vec<_>, _>>()?.concat())
 }
 
 /// The numbers of Hopf points.

@@ -5,14 +5,14 @@ use clap::Args;
 use serde::Serialize;
 use singletrack::progress::progress_bar;
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, Law, MarginLimits, OneLength, first_unstable_speed, least_point_distance,
+    ClosedLoop, Law, MarginLimits, OneLength, first_unstable_speed, least_point_distance,
 };
 
 use super::{
     arguments::{CarArgs, LoopArgs, PointArgs, TimingArgs},
     subject::{Format, Grid, Subject, write, write_numbers},
 };
-use crate::{Result, table::Table, vehicle_file};
+use crate::{Result, table::Table};
 
 /// The searched speeds, in m/s.
 pub(super) const SEARCHED_SPEEDS: [f64; 2] = [0.1, 20.0];
@@ -284,12 +284,7 @@ fn speeds(text: &str) -> Result<Speeds, String> {
 }
 
 pub(super) fn run_one_length(args: &OneLengthArgs) -> Result {
-    let subject = Subject {
-        vehicle: vehicle_file::read_or_paper(args.car.vehicle.as_deref())?,
-        law: Law::FrontPoint,
-        belief: Belief::CentreOfMass,
-        point_distance: args.car.point_distance,
-    };
+    let subject = args.car.under(Law::FrontPoint)?;
     let range = ClosedLoop::meaningful_deviations(&subject.vehicle);
     let or_none = |value: Option<f64>| value.unwrap_or(f64::NAN);
     let mut rows = Vec::new();

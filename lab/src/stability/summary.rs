@@ -4,8 +4,7 @@ use std::io::{self, Write};
 
 use clap::Args;
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, Law, MarginLimits, critical_speed, infinite_speed_limit,
-    smallest_point_distance,
+    ClosedLoop, Law, MarginLimits, critical_speed, infinite_speed_limit, smallest_point_distance,
 };
 
 use super::{
@@ -14,7 +13,6 @@ use super::{
     subject::{Grid, Subject},
 };
 use crate::Result;
-use crate::vehicle_file;
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct SummaryArgs {
@@ -28,24 +26,23 @@ pub(super) struct SummaryArgs {
 const SPEEDS: [f64; 5] = [0.1, 0.5, 1.0, 2.0, 5.0];
 
 pub(super) fn run(args: &SummaryArgs) -> Result {
-    let vehicle = vehicle_file::read_or_paper(args.car.vehicle.as_deref())?;
-    let subject = |law| Subject {
-        vehicle,
-        law,
-        belief: Belief::CentreOfMass,
-        point_distance: args.car.point_distance,
-    };
+    let own = args.car.under(Law::FrontPoint)?;
     let mut out = io::stdout().lock();
-    let [from, to] = ClosedLoop::meaningful_deviations(&vehicle);
+    let [from, to] = ClosedLoop::meaningful_deviations(&own.vehicle);
     writeln!(
         out,
         "meaningful dl: {from} m to {to} m (-l_f to l_r); p = {} m; l1 as Kuznetsov's (figures: \
          MatCont's)\n",
         args.car.point_distance
     )?;
-    proposed(&mut out, &subject(Law::FrontPoint))?;
-    appendix(&mut out, &subject(Law::VelocityPoint))?;
-    sampled(&mut out, &subject(Law::FrontPoint), args.timing)?;
+    proposed(&mut out, &own)?;
+    writeln!(out, "velocity-point law (appendix), l_f + dl and l_r - dl")?;
+    let appendix = Subject {
+        law: Law::VelocityPoint,
+        ..own
+    };
+    hopf_lines(&mut out, &appendix)?;
+    sampled(&mut out, &own, args.timing)?;
     let timing = if args.timing.steering_lag_ms == 0.0 {
         TimingArgs {
             period_ms: args.timing.period_ms,
@@ -55,7 +52,7 @@ pub(super) fn run(args: &SummaryArgs) -> Result {
     } else {
         args.timing
     };
-    with_servo(&mut out, &subject(Law::FrontPoint), timing)
+    with_servo(&mut out, &own, timing)
 }
 
 fn proposed(out: &mut impl Write, subject: &Subject) -> Result {
@@ -84,11 +81,6 @@ fn proposed(out: &mut impl Write, subject: &Subject) -> Result {
         None => writeln!(out, "  no p makes it so at every speed")?,
         Some(p) => writeln!(out, "  (at every speed with every p above {p:.4} m)")?,
     }
-    hopf_lines(out, subject)
-}
-
-fn appendix(out: &mut impl Write, subject: &Subject) -> Result {
-    writeln!(out, "velocity-point law (appendix), l_f + dl and l_r - dl")?;
     hopf_lines(out, subject)
 }
 

@@ -2,7 +2,6 @@
 //! the loop as it is sampled. They show the results of the other modules, and
 //! `singletrack stability figures` writes those of a car under a law as files.
 
-mod levels;
 mod maps;
 mod scene;
 
