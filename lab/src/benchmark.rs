@@ -217,10 +217,9 @@ fn measured(car: Car, beside: &Path, files: &[PathBuf]) -> Result<CarResult> {
         interval_95: estimate.interval,
     });
     let warnings = identification.warnings.iter().map(ToString::to_string);
-    let not_validated = report.not_validated.iter().map(ToString::to_string);
     Ok(CarResult {
         parameters: parameters.collect(),
-        warnings: warnings.chain(not_validated).collect(),
+        warnings: warnings.chain(report.not_validated).collect(),
         car: car.name,
         source: car.source,
         commit: car.commit,

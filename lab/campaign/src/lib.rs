@@ -16,12 +16,10 @@
 //! ```
 
 mod file;
-mod merge;
 mod run;
 mod shard;
 
-pub use file::{FORMAT, Header, ResultFile};
-pub use merge::{MergeArgs, merge_files, run_merge};
+pub use file::{FORMAT, Header, MergeArgs, ResultFile, merge_files, run_merge};
 pub use run::{Campaign, CampaignArgs, run_shown};
 pub use shard::{Experiment, Results, Shard, ShardError, run_units, thread_count};
 

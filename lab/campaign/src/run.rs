@@ -12,8 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::{
     Result,
-    file::{Header, ResultFile},
-    merge::merge_files,
+    file::{Header, ResultFile, merge_files},
     shard::{Experiment, Results, Shard, run_units, thread_count},
 };
 

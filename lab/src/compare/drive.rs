@@ -277,10 +277,8 @@ impl<'a> Run<'a> {
         let mut armed = false;
         while self.drive.next_tick_us() as f64 * 1e-6 < START_S {
             if !armed && self.drive.mode() == Mode::Ready {
-                armed = self
-                    .drive
-                    .request(PilotRequest::Arm(Arming::Unattended))
-                    .is_ok();
+                let arm = PilotRequest::Arm(Arming::Unattended);
+                armed = self.drive.request(arm).is_ok();
             }
             self.stand();
             let tick = self.drive.step();
@@ -297,15 +295,9 @@ impl<'a> Run<'a> {
         let (at, for_us) = self.loss;
         let start_us = self.drive.next_tick_us() + (at * 1e6) as u64;
         if for_us > 0 {
-            self.drive
-                .world
-                .cameras
-                .parameters
-                .loss_windows
-                .push(LossWindow {
-                    start_us,
-                    end_us: start_us + for_us,
-                });
+            let end_us = start_us + for_us;
+            let cameras = &mut self.drive.world.cameras.parameters;
+            cameras.loss_windows.push(LossWindow { start_us, end_us });
         }
     }
 

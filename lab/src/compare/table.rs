@@ -420,9 +420,11 @@ fn panel(lines: &[&Line], controllers: &[&str], speeds: &[f64]) -> Panel {
         let aside = (speed as f64 + 0.5) / speeds.len() as f64 - 0.5;
         (controller as f64 + SPREAD * aside, speed)
     };
+    let mut stopped = Vec::new();
     for line in lines {
         let (x, speed) = place(line);
         let [Some(rms), Some(low), Some(high), ..] = line.values else {
+            stopped.push(x);
             continue;
         };
         panel.estimates.push(Estimate {
@@ -436,13 +438,12 @@ fn panel(lines: &[&Line], controllers: &[&str], speeds: &[f64]) -> Panel {
     // Those without a value stand at the upper end of the axis.
     let values = panel.estimates.iter().map(|estimate| estimate.interval[1]);
     let top = values.fold(1.0, f64::max).log10().ceil();
-    for line in lines.iter().filter(|line| line.values[0].is_none()) {
-        panel.marks.push(Mark {
-            name: "the car stops with every seed",
-            point: [place(line).0, 10_f64.powf(top)],
-            kind: MarkKind::None,
-        });
-    }
+    let mark = |x| Mark {
+        name: "the car stops with every seed",
+        point: [x, 10_f64.powf(top)],
+        kind: MarkKind::None,
+    };
+    panel.marks = stopped.into_iter().map(mark).collect();
     panel
 }
 

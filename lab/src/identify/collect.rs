@@ -253,14 +253,11 @@ impl Collector {
     /// Takes a sample that the car can have made.
     fn take_inertial(&mut self, sample: &InertialSample, of_tick: bool) {
         // A car of another program's log may have a gyro alone.
-        let judged = match sample.forward_acceleration.is_nan() && of_tick {
-            true => InertialSample {
-                forward_acceleration: 0.0,
-                left_acceleration: 0.0,
-                ..*sample
-            },
-            false => *sample,
-        };
+        let mut judged = *sample;
+        if sample.forward_acceleration.is_nan() && of_tick {
+            judged.forward_acceleration = 0.0;
+            judged.left_acceleration = 0.0;
+        }
         if sample.time.0 + LEAD_NS < self.start_ns || !self.watch.is_possible(&judged) {
             return;
         }

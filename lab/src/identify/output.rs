@@ -92,13 +92,11 @@ pub(super) fn json(report: &Report) -> String {
         "criterion": criterion.name(),
         "parameters": parameters.collect::<serde_json::Map<String, Value>>(),
         "logs": logs.collect::<Vec<_>>(),
-        "not_validated": report.not_validated.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "not_validated": report.not_validated,
         "warnings": texts(warnings),
         "tyres": report.tyres.name(),
         "start": report.vehicle,
-        "taken_as_exact": taken_as_exact(report)
-            .map(|(name, _)| name)
-            .collect::<Vec<_>>(),
+        "taken_as_exact": taken_as_exact(report).map(|(name, _)| name).collect::<Vec<_>>(),
         "vehicle": report.identified.identification.vehicle(),
         "identification": identified(&report.identified),
         "validation": report.validated.iter().map(identified).collect::<Vec<_>>(),

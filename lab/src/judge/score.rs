@@ -113,8 +113,9 @@ impl Inertial {
                 .motor_configured
                 .add(config.motor_speed_noise + config.motor_speed_scale_noise * motor.abs());
         }
-        // Spans in the order of time; the mean of white noise falls with the root of the span.
-        let mut spans: Vec<(Span, f64)> = Vec::new();
+        // Mean speed, mean differences and length of each span in the order of time; the mean of white
+        // noise falls with the root of the length.
+        let mut spans: Vec<(f64, [f64; 3], f64)> = Vec::new();
         let mut begin: Option<Time> = None;
         let mut span = Span::default();
         let mut last: Option<Time> = None;
@@ -124,7 +125,9 @@ impl Inertial {
             if broken || time.seconds_since(start) >= WINDOW {
                 let length = last.map_or(0.0, |last| last.seconds_since(start));
                 if length > 0.8 * WINDOW {
-                    spans.push((span, length));
+                    let samples = f64::from(span.samples);
+                    let means = span.differences.map(|sum| sum / samples);
+                    spans.push((span.speed / samples, means, length));
                 }
                 (span, begin) = (Span::default(), Some(*time));
             }
@@ -135,31 +138,25 @@ impl Inertial {
             }
             last = Some(*time);
         }
-        let means = |span: &Span, axis: usize| span.differences[axis] / f64::from(span.samples);
         for stands in [true, false] {
-            let chosen: Vec<&(Span, f64)> = spans
-                .iter()
-                .filter(|(span, _)| (span.speed / f64::from(span.samples) < STANDS) == stands)
-                .collect();
+            let chosen = || spans.iter().filter(|span| (span.0 < STANDS) == stands);
             for axis in 0..2 {
-                let all = chosen.iter().map(|(span, _)| means(span, axis));
-                let mean = all.sum::<f64>() / chosen.len() as f64;
-                for (span, length) in &chosen {
-                    let density = (means(span, axis) - mean) * length.sqrt();
+                let sum: f64 = chosen().map(|(_, means, _)| means[axis]).sum();
+                let mean = sum / chosen().count() as f64;
+                for (speed, means, length) in chosen() {
+                    let density = (means[axis] - mean) * length.sqrt();
                     if stands {
                         noise.standing.add(density);
-                    } else {
-                        noise.moving.add(density);
-                        let speed = span.speed / f64::from(span.samples);
-                        let vibration = config.vibration_noise_density * speed;
-                        noise
-                            .configured
-                            .add(libm::hypot(config.acceleration_noise_density, vibration));
+                        continue;
                     }
+                    noise.moving.add(density);
+                    let vibration = config.vibration_noise_density * speed;
+                    let stated = libm::hypot(config.acceleration_noise_density, vibration);
+                    noise.configured.add(stated);
                 }
             }
-            for (span, length) in chosen.iter().filter(|_| !stands) {
-                noise.gyro.add(means(span, 2) * length.sqrt());
+            for (_, means, length) in chosen().filter(|_| !stands) {
+                noise.gyro.add(means[2] * length.sqrt());
             }
         }
         noise

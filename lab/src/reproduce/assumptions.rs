@@ -178,14 +178,10 @@ fn velocity_of_point(
     motion: &Motion,
     [steering, speed, steering_rate, p]: [f64; 4],
 ) -> Velocity {
-    let Motion {
-        yaw,
-        yaw_rate: r,
-        sideslip,
-    } = *motion;
+    let (yaw, r) = (motion.yaw, motion.yaw_rate);
     let l_f = setup.vehicle.front_axle_distance_m;
     let across = |angle: f64| Velocity::new(-sin(angle), cos(angle));
-    direction(yaw + sideslip) * speed
+    direction(yaw + motion.sideslip) * speed
         + across(yaw) * (l_f * r)
         + across(yaw + steering) * (p * (r + steering_rate))
 }
@@ -214,18 +210,16 @@ pub(super) fn measured_point(setup: &Setup) -> Option<f64> {
     let [to_front, to_rear] = ClosedLoop::meaningful_deviations(&setup.vehicle).map(|dl| -dl);
     let mut largest: f64 = 0.0;
     for (motion, steering) in DISTURBED {
-        let Motion {
-            yaw_rate, sideslip, ..
-        } = motion;
         let wanted = direction(0.0);
         let own = law(setup, 0.0, p)?
             .command(&motion, steering, &wanted)
             .ok()?;
         for ahead in [0.9 * to_front, 0.3 * to_rear, to_rear] {
             // The velocity of that point at the commanded speed of the centre of mass.
-            let forward = own.speed * cos(sideslip);
+            let forward = own.speed * cos(motion.sideslip);
+            let aside = own.speed * sin(motion.sideslip) + ahead * motion.yaw_rate;
             let motion = Motion {
-                sideslip: atan2(own.speed * sin(sideslip) + ahead * yaw_rate, forward),
+                sideslip: atan2(aside, forward),
                 ..motion
             };
             let other = law(setup, ahead, p)?

@@ -6,14 +6,14 @@ use indicatif::ProgressBar;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, Start};
 use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol};
 use singletrack_scenario::{
-    simulate::{PlantKind, Row},
+    simulate::{PlantKind, Row, Scenario, StartSection},
     tracking::{Sample, Tracking, last_turn},
 };
 
 use super::{
     GAIN, Setup, TURN_RATE,
     claims::{Below, Near, Scope},
-    drive::{Drives, Experiment, PLANTS, Run},
+    drive::{Drives, PLANTS, Run},
     largest, least, pictures,
     section::{Picture, Section},
     steps,
@@ -38,28 +38,25 @@ fn starts() -> [(&'static str, &'static str, [f64; 2], f64); 4] {
 }
 
 /// The tracking experiment from a point, in units of the circle's radius.
-fn experiment(setup: &Setup, point: [f64; 2], yaw_deg: f64, feed_forward: bool) -> Experiment {
-    Experiment {
-        law: LawKind::FrontPoint,
-        deviation_m: 0.0,
-        believed: None,
-        point_distance_m: setup.point_distance_m(),
-        outer_loop: OuterLoopSection::Proportional {
-            gain_per_s: [GAIN; 2],
-            feed_forward,
-        },
-        reference: ReferenceSection::Circle {
-            radius_m: setup.radius_m(),
-            angular_velocity_rad_s: TURN_RATE,
-            centre_m: [0.0, 0.0],
-            start: Start::Beginning,
-        },
-        start_m: point.map(|coordinate| coordinate * setup.radius_m()),
+fn experiment(setup: &Setup, point: [f64; 2], yaw_deg: f64, feed_forward: bool) -> Scenario {
+    let mut scenario = setup.circle(LawKind::FrontPoint, 0.0);
+    scenario.outer_loop = OuterLoopSection::Proportional {
+        gain_per_s: [GAIN; 2],
+        feed_forward,
+    };
+    scenario.reference = ReferenceSection::Circle {
+        radius_m: setup.radius_m(),
+        angular_velocity_rad_s: TURN_RATE,
+        centre_m: [0.0, 0.0],
+        start: Start::Beginning,
+    };
+    scenario.start = StartSection {
+        point_p_m: point.map(|coordinate| coordinate * setup.radius_m()),
         yaw_deg,
-        // The start must have no effect on the last turn.
-        duration_s: if setup.quick { 30.0 } else { 40.0 },
-        losses: Vec::new(),
-    }
+    };
+    // The start must have no effect on the last turn.
+    scenario.run.duration_s = if setup.quick { 30.0 } else { 40.0 };
+    scenario
 }
 
 /// Amplitude, lag and error over the last turn.
@@ -91,7 +88,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     );
     let mut section = Section::new(3, "Tracking a circle", intro);
     let mut drives = Drives::default();
-    let mut drive = |case, what: &str, experiment: &Experiment| {
+    let mut drive = |case, what: &str, experiment: &Scenario| {
         progress.set_message(format!("circle, {what}"));
         for (plant, kind, label) in PLANTS {
             let run = section.drive(setup, plant, &format!("{label}, {what}"), experiment);
@@ -109,8 +106,8 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
         &experiment(setup, point, yaw_deg, true),
     );
     progress.set_message("circle, with marker losses");
-    let losses = Experiment {
-        losses: steps::losses((1..8).map(|index| index * LOSS_EVERY_TICKS)),
+    let losses = Scenario {
+        marker_loss: steps::losses((1..8).map(|index| index * LOSS_EVERY_TICKS)),
         ..experiment(setup, point, yaw_deg, false)
     };
     let run = section.drive(setup, PlantKind::Car, "car, markers lost", &losses);

@@ -8,12 +8,13 @@ use singletrack_control::{
 };
 use singletrack_core::config::LawKind;
 use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel};
+use singletrack_scenario::simulate::Scenario;
 
 use super::{
     Setup, assumptions,
     claims::{Above, Below, Near, Scope},
     diagrams,
-    drive::{Drives, Experiment, Run},
+    drive::{Drives, Run, ideal},
     largest, pictures,
     section::{Picture, Section},
     steps,
@@ -63,11 +64,11 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let mut drive = |case: &str, (law, kind, name): (_, _, &str), deviation, believed| {
         let name = format!("{name}, dl = {}", mm(deviation));
         progress.set_message(format!("comparison, {name}"));
-        let experiment = Experiment {
-            believed,
+        let experiment = Scenario {
+            believed_vehicle: believed,
             ..steps::experiment(setup, law, deviation)
         };
-        let run = section.keep(&name, experiment.ideal(setup));
+        let run = section.keep(&name, ideal(&experiment));
         drives.add(case, kind, run);
     };
     for (case, deviation) in [("right", 0.0), ("deviation", deviation)] {
@@ -97,12 +98,11 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let mut front = 0.0_f64;
     for (_, parameter) in PARAMETERS {
         for (_, factor) in FACTORS {
-            let other = Setup {
+            let experiment = Scenario {
                 vehicle: scaled(setup.vehicle, parameter, factor),
-                ..setup.clone()
+                ..steps::experiment(setup, LawKind::FrontPoint, 0.0)
             };
-            let experiment = steps::experiment(setup, LawKind::FrontPoint, 0.0);
-            if let Some(run) = section.keep("proposed law, another car", experiment.ideal(&other)) {
+            if let Some(run) = section.keep("proposed law, another car", ideal(&experiment)) {
                 front = front.max(run.largest_deviation());
             }
         }
@@ -250,7 +250,7 @@ fn stiffnesses(setup: &Setup) -> Table {
             for rear in factors {
                 let believed = scaled(setup.vehicle, "front", front);
                 let believed = scaled(believed, "rear", rear);
-                let stable = is_stable(setup, believed, speed);
+                let stable = is_stable(setup, believed, speed) == Some(true);
                 rows.push(vec![speed, front, rear, f64::from(u8::from(stable))]);
             }
         }
@@ -266,12 +266,11 @@ fn unstable(stiffnesses: &Table) -> usize {
 }
 
 /// Whether the steady motion at a speed is stable under the appendix's law with the
-/// parameters of another car, by Hurwitz' criterion on a Jacobian by central differences.
-fn is_stable(setup: &Setup, believed: VehicleParameters, speed: f64) -> bool {
+/// parameters of another car, by Hurwitz' criterion on a Jacobian by central differences; none without
+/// an answer of the law.
+fn is_stable(setup: &Setup, believed: VehicleParameters, speed: f64) -> Option<bool> {
     let model = SingleTrack::new(setup.vehicle);
-    let Ok(law) = VelocityPointLaw::new(believed, setup.point_distance_m()) else {
-        return false;
-    };
+    let law = VelocityPointLaw::new(believed, setup.point_distance_m()).ok()?;
     let slope = |state: Vector3<f64>| {
         let motion = Motion {
             yaw: state.x,
@@ -293,15 +292,12 @@ fn is_stable(setup: &Setup, believed: VehicleParameters, speed: f64) -> bool {
         let offset = Vector3::ith(axis, STEP);
         Some((slope(offset)? - slope(-offset)?) / (2.0 * STEP))
     };
-    let (Some(first), Some(second), Some(third)) = (column(0), column(1), column(2)) else {
-        return false;
-    };
-    let jacobian = Matrix3::from_columns(&[first, second, third]);
+    let jacobian = Matrix3::from_columns(&[column(0)?, column(1)?, column(2)?]);
     // s³ + a₂ s² + a₁ s + a₀.
     let a2 = -jacobian.trace();
     let a1 = 0.5 * (jacobian.trace().powi(2) - (jacobian * jacobian).trace());
     let a0 = -jacobian.determinant();
-    a2 > 0.0 && a0 > 0.0 && a2 * a1 > a0
+    Some(a2 > 0.0 && a0 > 0.0 && a2 * a1 > a0)
 }
 
 fn plates(setup: &Setup, drives: &Drives, section: &mut Section) {

@@ -1,43 +1,14 @@
 //! Drives of experiments in virtual time, on either plant.
 
-use std::path::Path;
-
 use singletrack_control::statistics::RootMeanSquare;
-use singletrack_control::{Estimate, Position, VehicleParameters, front_point};
-use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
+use singletrack_control::{Estimate, Position, front_point};
 use singletrack_record::{Entry, Reader, Topic};
 use singletrack_scenario::simulate::{
-    self, ControlSection, HEADER, MarkerLoss, PlantKind, Row, RunSection, Scenario, SimulateError,
-    StartSection,
+    self, ControlSection, HEADER, MarkerLoss, PlantKind, Row, Scenario, SimulateError,
 };
 
-use super::{Setup, largest};
+use super::largest;
 use crate::{Result, table::Table};
-
-/// An experiment, independent of the plant.
-#[derive(Clone, Debug)]
-pub(super) struct Experiment {
-    /// The law.
-    pub(super) law: LawKind,
-    /// The deviation dl of the law's centre of mass to the rear, in m.
-    pub(super) deviation_m: f64,
-    /// The car parameters that the appendix's law uses; `None` for the true ones.
-    pub(super) believed: Option<VehicleParameters>,
-    /// The distance p of P from the front axle, in m.
-    pub(super) point_distance_m: f64,
-    /// The position loop.
-    pub(super) outer_loop: OuterLoopSection,
-    /// The reference of P.
-    pub(super) reference: ReferenceSection,
-    /// The start of P, in m.
-    pub(super) start_m: [f64; 2],
-    /// The yaw at the start, in degrees.
-    pub(super) yaw_deg: f64,
-    /// The duration, in s.
-    pub(super) duration_s: f64,
-    /// When the cameras lose the markers; on the car only.
-    pub(super) losses: Vec<MarkerLoss>,
-}
 
 /// The state that the controller estimated at one time.
 #[derive(Clone, Copy, Debug)]
@@ -95,114 +66,87 @@ impl Drives {
     }
 }
 
-/// The paper's circle: continuous control of the ideal plant, and nothing else.
-const CIRCLE: &str = include_str!("../../../tools/scenarios/circle.toml");
-
 /// Period of the controller on the car, in ms.
 const PERIOD_MS: u32 = 10;
 /// Interval of the rows, in s.
 const ROW_S: f64 = 0.05;
 
-impl Experiment {
-    /// On the ideal plant.
-    fn scenario(&self, setup: &Setup) -> Result<Scenario> {
-        Ok(Scenario {
-            law: LawSection {
-                kind: self.law,
-                point_distance_m: self.point_distance_m,
-                front_axle_distance_m: setup.vehicle.front_axle_distance_m + self.deviation_m,
-            },
-            outer_loop: self.outer_loop.clone(),
-            reference: self.reference.clone(),
-            start: StartSection {
-                point_p_m: self.start_m,
-                yaw_deg: self.yaw_deg,
-            },
-            run: RunSection {
-                duration_s: self.duration_s,
-                seed: 1,
-            },
-            vehicle: setup.vehicle,
-            believed_vehicle: self.believed,
-            ..Scenario::from_toml(CIRCLE, Path::new("circle.toml"))?
-        })
-    }
-
-    /// Drives it on the paper's equations with continuous control, as far as they have a
-    /// solution.
-    pub(super) fn ideal(&self, setup: &Setup) -> Result<Run> {
-        let mut scenario = self.scenario(setup)?;
-        let mut ended = None;
-        let rows = loop {
-            match simulate::simulate(&scenario) {
-                Ok(simulation) => break simulation.rows,
-                // Without a solution, the result is the drive up to there.
-                Err(error) => {
-                    let (time, what) = match &error {
-                        SimulateError::Law { time, .. } => (*time, "the law has no answer"),
-                        SimulateError::Integration(error) => {
-                            (error.time, "the paper's equations have no solution")
-                        }
-                        _ => return Err(error.into()),
-                    };
-                    ended.get_or_insert_with(|| format!("{what} from t = {time:.2} s on"));
-                    let before = ((time / ROW_S).ceil() - 1.0) * ROW_S;
-                    if before < ROW_S || before >= scenario.run.duration_s {
-                        return Err(error.into());
+/// Drives an experiment on the paper's equations with continuous control, as far as they have a
+/// solution, and without cameras.
+pub(super) fn ideal(experiment: &Scenario) -> Result<Run> {
+    let mut scenario = Scenario {
+        marker_loss: Vec::new(),
+        ..experiment.clone()
+    };
+    let mut ended = None;
+    let rows = loop {
+        match simulate::simulate(&scenario) {
+            Ok(simulation) => break simulation.rows,
+            // Without a solution, the result is the drive up to there.
+            Err(error) => {
+                let (time, what) = match &error {
+                    SimulateError::Law { time, .. } => (*time, "the law has no answer"),
+                    SimulateError::Integration(error) => {
+                        (error.time, "the paper's equations have no solution")
                     }
-                    scenario.run.duration_s = before;
+                    _ => return Err(error.into()),
+                };
+                ended.get_or_insert_with(|| format!("{what} from t = {time:.2} s on"));
+                let before = ((time / ROW_S).ceil() - 1.0) * ROW_S;
+                if before < ROW_S || before >= scenario.run.duration_s {
+                    return Err(error.into());
                 }
+                scenario.run.duration_s = before;
             }
-        };
-        Ok(Run {
-            rows,
-            seen: Vec::new(),
-            lost: Vec::new(),
-            ended,
-        })
-    }
-
-    /// Drives it with the whole pilot on the simulated car, board and cameras.
-    pub(super) fn car(&self, setup: &Setup) -> Result<Run> {
-        // The paper's controller compensates neither clock nor actuators.
-        let off = ["clock", "actuation"].map(|key| (key.to_owned(), false.into()));
-        let mut scenario = self.scenario(setup)?;
-        scenario.plant.kind = PlantKind::Car;
-        scenario.control = ControlSection::new(PERIOD_MS);
-        scenario.marker_loss.clone_from(&self.losses);
-        scenario.compensation = Some(off.into_iter().collect());
-        let folder = tempfile::tempdir()
-            .map_err(|error| format!("can't make a temporary folder: {error}"))?;
-        let path = folder.path().join("drive.mcap");
-        let simulation = simulate::simulate_recorded(&scenario, &path)?;
-        let mut seen = Vec::new();
-        for entry in Reader::open(&path)?.only(&[Topic::Tick]) {
-            let Entry::Tick(tick) = entry? else { continue };
-            let output = &tick.output;
-            let (Some(time), Some(estimate)) = (output.drive_time, output.estimate) else {
-                continue;
-            };
-            let point: Position = front_point(
-                estimate.position,
-                estimate.yaw,
-                output.actuation.steering,
-                setup.vehicle.front_axle_distance_m,
-                self.point_distance_m,
-            );
-            seen.push(Seen {
-                time,
-                point: [point.x, point.y],
-                estimate,
-                steering: output.actuation.steering,
-            });
         }
-        Ok(Run {
-            rows: simulation.rows,
-            seen,
-            lost: scenario.marker_loss.iter().map(span).collect(),
-            ended: simulation.notes.into_iter().next(),
-        })
+    };
+    Ok(Run {
+        rows,
+        seen: Vec::new(),
+        lost: Vec::new(),
+        ended,
+    })
+}
+
+/// Drives an experiment with the whole pilot on the simulated car, board and cameras.
+pub(super) fn car(experiment: &Scenario) -> Result<Run> {
+    // The paper's controller compensates neither clock nor actuators.
+    let off = ["clock", "actuation"].map(|key| (key.to_owned(), false.into()));
+    let mut scenario = experiment.clone();
+    scenario.plant.kind = PlantKind::Car;
+    scenario.control = ControlSection::new(PERIOD_MS);
+    scenario.compensation = Some(off.into_iter().collect());
+    let folder =
+        tempfile::tempdir().map_err(|error| format!("can't make a temporary folder: {error}"))?;
+    let path = folder.path().join("drive.mcap");
+    let simulation = simulate::simulate_recorded(&scenario, &path)?;
+    let mut seen = Vec::new();
+    for entry in Reader::open(&path)?.only(&[Topic::Tick]) {
+        let Entry::Tick(tick) = entry? else { continue };
+        let output = &tick.output;
+        let (Some(time), Some(estimate)) = (output.drive_time, output.estimate) else {
+            continue;
+        };
+        let point: Position = front_point(
+            estimate.position,
+            estimate.yaw,
+            output.actuation.steering,
+            scenario.vehicle.front_axle_distance_m,
+            scenario.law.point_distance_m,
+        );
+        seen.push(Seen {
+            time,
+            point: [point.x, point.y],
+            estimate,
+            steering: output.actuation.steering,
+        });
     }
+    Ok(Run {
+        rows: simulation.rows,
+        seen,
+        lost: scenario.marker_loss.iter().map(span).collect(),
+        ended: simulation.notes.into_iter().next(),
+    })
 }
 
 fn span(loss: &MarkerLoss) -> [f64; 2] {

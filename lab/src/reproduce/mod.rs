@@ -16,12 +16,17 @@ mod stability;
 mod steps;
 mod text;
 
-use std::{path::PathBuf, time::Duration};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 use clap::Args;
 use indicatif::ProgressBar;
 use singletrack::progress::progress_bar;
 use singletrack_control::VehicleParameters;
+use singletrack_core::config::{LawKind, LawSection};
+use singletrack_scenario::simulate::Scenario;
 
 use crate::{Result, vehicle_file};
 use claims::Claim;
@@ -53,6 +58,7 @@ pub fn run(args: &ReproduceArgs) -> Result {
     let vehicle = vehicle_file::read_or_paper(args.vehicle.as_deref())?;
     let mut setup = Setup {
         vehicle,
+        circle: Scenario::from_toml(CIRCLE, Path::new("circle.toml"))?,
         name: "the paper's car".to_owned(),
         quick: args.quick,
     };
@@ -123,6 +129,8 @@ fn reproduce(setup: Setup) -> Reproduction {
     Reproduction { setup, sections }
 }
 
+/// The paper's circle: continuous control of the ideal plant, and nothing else.
+const CIRCLE: &str = include_str!("../../../tools/scenarios/circle.toml");
 /// Wheelbase of the paper's car, in m, for which its experiments are sized.
 const PAPER_WHEELBASE_M: f64 = 0.26;
 /// Angular velocity of the circle's reference, in rad/s.
@@ -134,6 +142,8 @@ const GAIN: f64 = 1.0;
 #[derive(Clone, Debug)]
 struct Setup {
     vehicle: VehicleParameters,
+    /// Its circle: continuous control of the ideal plant, and nothing else.
+    circle: Scenario,
     /// The name of the car.
     name: String,
     /// Coarser maps, shorter drives and fewer seeds.
@@ -174,6 +184,19 @@ impl Setup {
         self.radius_m() / (1.0 + (TURN_RATE / GAIN).powi(2)).sqrt()
     }
 
+    /// The circle of this car under a law, with its centre of mass too far to the rear by a
+    /// deviation (m).
+    fn circle(&self, kind: LawKind, deviation_m: f64) -> Scenario {
+        let mut scenario = self.circle.clone();
+        scenario.law = LawSection {
+            kind,
+            point_distance_m: self.point_distance_m(),
+            front_axle_distance_m: self.vehicle.front_axle_distance_m + deviation_m,
+        };
+        scenario.vehicle = self.vehicle;
+        scenario
+    }
+
     /// The deviation dl of the paper's second open-loop test: the law's centre of mass is
     /// at the rear axle.
     const fn rear_deviation_m(&self) -> f64 {
@@ -183,23 +206,16 @@ impl Setup {
 
 /// The largest, or not a number.
 fn largest(values: impl Iterator<Item = f64>) -> f64 {
-    extreme(values, f64::max)
+    let either = |one: f64, other| match one >= other || one.is_nan() {
+        true => one,
+        false => other,
+    };
+    values.reduce(either).unwrap_or(f64::NAN)
 }
 
 /// The least, or not a number.
 fn least(values: impl Iterator<Item = f64>) -> f64 {
-    extreme(values, f64::min)
-}
-
-fn extreme(values: impl Iterator<Item = f64>, of: fn(f64, f64) -> f64) -> f64 {
-    let either = |one: f64, other: f64| {
-        if one.is_nan() || other.is_nan() {
-            f64::NAN
-        } else {
-            of(one, other)
-        }
-    };
-    values.reduce(either).unwrap_or(f64::NAN)
+    -largest(values.map(|value| -value))
 }
 
 #[cfg(test)]
@@ -207,6 +223,7 @@ impl Setup {
     fn paper() -> Self {
         Self {
             vehicle: VehicleParameters::paper(),
+            circle: toml::from_str(CIRCLE).unwrap(),
             name: "the paper's car".to_owned(),
             quick: true,
         }

@@ -366,75 +366,61 @@ fn row(claim: &Claim) -> String {
 }
 
 fn body(section: &Section) -> String {
-    let mut html = format!(
-        "<section id=\"section-{}\">\n<h2>{}. {}</h2>\n",
-        section.number,
-        section.number,
-        escaped(section.title)
-    );
+    let number = section.number;
+    let title = escaped(section.title);
+    let mut html = format!("<section id=\"section-{number}\">\n<h2>{number}. {title}</h2>\n");
     html += &format!("<p>{}</p>\n", section.intro);
     for note in &section.notes {
         html += &format!("<p class=\"note\">{}</p>\n", escaped(note));
     }
-    let own: Vec<String> = section
-        .claims
-        .iter()
-        .map(|claim| {
-            format!(
-                "<li class=\"{}\"><a href=\"#{}\">{}</a>: <span class=\"verdict\">{}</span></li>",
-                class(claim),
-                claim.id,
-                typeset(&claim.claim),
-                claim.verdict.name()
-            )
-        })
-        .collect();
+    let own = section.claims.iter().map(|claim| {
+        format!(
+            "<li class=\"{}\"><a href=\"#{}\">{}</a>: <span class=\"verdict\">{}</span></li>",
+            class(claim),
+            claim.id,
+            typeset(&claim.claim),
+            claim.verdict.name()
+        )
+    });
+    let own: String = own.collect();
     if !own.is_empty() {
-        html += &format!("<ul class=\"own\">{}</ul>\n", own.concat());
+        html += &format!("<ul class=\"own\">{own}</ul>\n");
     }
-    for plate in &section.plates {
-        html += &framed(plate);
-    }
-    if !section.tables.is_empty() {
-        let names: Vec<String> = section
-            .tables
-            .iter()
-            .map(|(name, _)| format!("<a href=\"data/{name}.csv\">{name}.csv</a>"))
-            .collect();
-        html += &format!("<p class=\"quiet\">Data: {}.</p>\n", names.join(", "));
+    html.extend(section.plates.iter().map(framed));
+    let data = section.tables.iter();
+    let data = data.map(|(name, _)| format!("<a href=\"data/{name}.csv\">{name}.csv</a>"));
+    let data: Vec<String> = data.collect();
+    if !data.is_empty() {
+        html += &format!("<p class=\"quiet\">Data: {}.</p>\n", data.join(", "));
     }
     html + "</section>\n"
 }
 
 fn framed(plate: &Plate) -> String {
-    if plate.pictures.is_empty() {
-        return format!(
-            "<h3>{}</h3>\n<p><b>The paper.</b> {}</p>\n<p><b>Ours.</b> {}</p>\n",
-            plate.title, plate.paper, plate.ours
-        );
+    let Plate {
+        title,
+        paper,
+        ours,
+        pictures,
+    } = plate;
+    let said = format!("<p><b>The paper.</b> {paper}</p>\n<p><b>Ours.</b> {ours}</p>");
+    if pictures.is_empty() {
+        return format!("<h3>{title}</h3>\n{said}\n");
     }
-    let mut html = format!(
-        "<figure class=\"plate\">\n<h3>{}</h3>\n<div class=\"pictures{}\">\n",
-        plate.title,
-        if plate.pictures.len() == 3 {
-            " three"
-        } else {
-            ""
-        }
-    );
-    for picture in &plate.pictures {
+    let three = if pictures.len() == 3 { " three" } else { "" };
+    let drawn = pictures.iter().map(|picture| {
         let (width, svg) = (picture.figure.width, picture.figure.to_svg());
-        html += &format!("<div class=\"{width} static\">{svg}");
-        if !picture.label.is_empty() {
-            html += &format!("<p class=\"which\">{}</p>", escaped(&picture.label));
-        }
-        html += "</div>\n";
-    }
-    html += &format!(
-        "</div>\n<figcaption><p><b>The paper.</b> {}</p>\n<p><b>Ours.</b> {}</p></figcaption>\n</figure>\n",
-        plate.paper, plate.ours
-    );
-    html
+        let label = match &picture.label[..] {
+            "" => String::new(),
+            label => format!("<p class=\"which\">{}</p>", escaped(label)),
+        };
+        format!("<div class=\"{width} static\">{svg}{label}</div>\n")
+    });
+    let drawn: String = drawn.collect();
+    format!(
+        "<figure class=\"plate\">\n<h3>{title}</h3>\n<div class=\"pictures{three}\">\n{drawn}</div>\n\
+         <figcaption>{said}</figcaption>\n</figure>\n"
+    )
 }
 
 fn vehicle(reproduction: &Reproduction) -> String {

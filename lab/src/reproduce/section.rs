@@ -3,12 +3,12 @@
 use std::fmt::Display;
 
 use singletrack_figures::figure::Figure;
-use singletrack_scenario::simulate::PlantKind;
+use singletrack_scenario::simulate::{PlantKind, Scenario};
 
 use super::{
     Setup,
     claims::{Claim, Scope, Verdict},
-    drive::{Experiment, Run},
+    drive::{self, Run},
 };
 use crate::{Result, table::Table};
 
@@ -125,17 +125,17 @@ impl Section {
             .ok()
     }
 
-    /// The drive on a plant, unless the simulated car can't represent the car.
+    /// The drive of an experiment on a plant, unless the simulated car can't represent the car.
     pub(super) fn drive(
         &mut self,
         setup: &Setup,
         plant: PlantKind,
         what: &str,
-        experiment: &Experiment,
+        experiment: &Scenario,
     ) -> Option<Run> {
         match plant {
-            PlantKind::Ideal => self.keep(what, experiment.ideal(setup)),
-            PlantKind::Car if setup.fits_simulated_car() => self.keep(what, experiment.car(setup)),
+            PlantKind::Ideal => self.keep(what, drive::ideal(experiment)),
+            PlantKind::Car if setup.fits_simulated_car() => self.keep(what, drive::car(experiment)),
             PlantKind::Car => None,
         }
     }

@@ -4,13 +4,13 @@ use indicatif::ProgressBar;
 use singletrack_control::statistics::RootMeanSquare;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
 use singletrack_figures::figure::{Curve, Figure, Look};
-use singletrack_scenario::simulate::{MarkerLoss, PlantKind};
+use singletrack_scenario::simulate::{MarkerLoss, PlantKind, Scenario, StartSection};
 
 use super::{
     Setup, assumptions,
     claims::{Above, Below, Near, Scope},
     diagrams,
-    drive::{Drives, Experiment, PLANTS, Run},
+    drive::{Drives, PLANTS, Run, ideal},
     largest, least, pictures,
     section::{Picture, Section},
     text::{self, metres, mm, number, with_digits},
@@ -43,7 +43,7 @@ pub(super) fn losses(ticks: impl IntoIterator<Item = u64>) -> Vec<MarkerLoss> {
 }
 
 /// The open-loop test with the law's centre of mass too far to the rear.
-pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Experiment {
+pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Scenario {
     let mut steps: Vec<StepSection> = VELOCITIES
         .iter()
         .map(|[x, y]| StepSection {
@@ -56,18 +56,15 @@ pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Exper
         // The car stops when its reference ends, after the part that is evaluated.
         last.duration_s += 1.0;
     }
-    Experiment {
-        law,
-        deviation_m,
-        believed: None,
-        point_distance_m: setup.point_distance_m(),
-        outer_loop: OuterLoopSection::OpenLoop {},
-        reference: ReferenceSection::VelocitySteps { steps },
-        start_m: [0.0, 0.0],
+    let mut scenario = setup.circle(law, deviation_m);
+    scenario.outer_loop = OuterLoopSection::OpenLoop {};
+    scenario.reference = ReferenceSection::VelocitySteps { steps };
+    scenario.start = StartSection {
+        point_p_m: [0.0, 0.0],
         yaw_deg: 0.0,
-        duration_s: STEP_S * VELOCITIES.len() as f64,
-        losses: Vec::new(),
-    }
+    };
+    scenario.run.duration_s = STEP_S * VELOCITIES.len() as f64;
+    scenario
 }
 
 /// The drives with right and with wrong parameters, by their names here and in a file.
@@ -92,8 +89,8 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let mut drives = Drives::default();
     for (((case, _), name), deviation) in CASES.into_iter().zip(&names).zip(deviations) {
         let seen = experiment(setup, LawKind::FrontPoint, deviation);
-        let experiment = Experiment {
-            losses: losses(LOSSES),
+        let experiment = Scenario {
+            marker_loss: losses(LOSSES),
             ..seen.clone()
         };
         progress.set_message(format!("open-loop steps, {name}"));
@@ -140,12 +137,10 @@ fn residual(setup: &Setup, drives: &Drives) -> Option<f64> {
 /// How far the front wheel is from the path of P at most, with P at fractions of the paper's
 /// distance, in m. The drive begins with P, and the wheel behind it.
 fn wheel_from_path(setup: &Setup, fraction: f64) -> Option<f64> {
-    let experiment = Experiment {
-        point_distance_m: fraction * setup.point_distance_m(),
-        ..experiment(setup, LawKind::FrontPoint, 0.0)
-    };
-    let rows = experiment.ideal(setup).ok()?.rows;
-    let p = experiment.point_distance_m;
+    let mut experiment = experiment(setup, LawKind::FrontPoint, 0.0);
+    let p = fraction * setup.point_distance_m();
+    experiment.law.point_distance_m = p;
+    let rows = ideal(&experiment).ok()?.rows;
     let wheels = rows.iter().filter(|row| row.t >= 1.0).map(|row| {
         let (sin, cos) = (row.yaw + row.steering).sin_cos();
         [row.x_p - p * cos, row.y_p - p * sin]
