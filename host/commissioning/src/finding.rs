@@ -78,6 +78,8 @@ pub enum Trouble {
     },
     /// The operator skipped a question that the step needs.
     Skipped,
+    /// The step ends early with what it has found so far.
+    Found(Box<Finding>),
     /// The armed jog ended by itself.
     Ended {
         /// The board's reason.
@@ -94,6 +96,7 @@ impl Trouble {
             Self::Interrupted(interrupted) => return Err(interrupted),
             Self::Failed { found, fix } => Finding::new(Verdict::Failed, found, fix),
             Self::Skipped => Finding::new(Verdict::Skipped, "skipped", ""),
+            Self::Found(finding) => *finding,
             Self::Ended { cause, why } => {
                 let mut found = format!("the jog ended: {why}");
                 let mut advice = String::new();
@@ -335,46 +338,29 @@ pub struct Plot {
     pub name: &'static str,
     /// What it shows, in a few words.
     pub title: &'static str,
-    /// Quantity and unit of the horizontal axis.
-    pub x: (&'static str, &'static str),
-    /// Quantity and unit of the vertical axis.
-    pub y: (&'static str, &'static str),
-    /// Whether a unit is as long on both axes: for places.
-    pub equal: bool,
+    /// Quantity and unit of the horizontal and of the vertical axis. With one unit, it is as long on
+    /// both.
+    pub axes: [(&'static str, &'static str); 2],
     /// The lines.
     pub lines: Vec<PlotLine>,
 }
 
 impl Plot {
-    /// Places on the floor, in m.
-    pub(crate) const fn of_places(
-        name: &'static str,
-        title: &'static str,
-        lines: Vec<PlotLine>,
-    ) -> Self {
-        Self {
-            name,
-            title,
-            x: ("x", "m"),
-            y: ("y", "m"),
-            equal: true,
-            lines,
-        }
-    }
+    /// The axes of places on the floor.
+    pub(crate) const PLACES: [(&str, &str); 2] = [("x", "m"), ("y", "m")];
+    /// The axes of a yaw rate.
+    pub(crate) const YAW_RATE: [(&str, &str); 2] = [("time", "s"), ("yaw rate", "rad/s")];
 
-    /// Lines over the time in s.
-    pub fn over_time(
+    pub(crate) const fn new(
         name: &'static str,
         title: &'static str,
-        y: (&'static str, &'static str),
+        axes: [(&'static str, &'static str); 2],
         lines: Vec<PlotLine>,
     ) -> Self {
         Self {
             name,
             title,
-            x: ("time", "s"),
-            y,
-            equal: false,
+            axes,
             lines,
         }
     }

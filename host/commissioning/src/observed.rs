@@ -3,7 +3,7 @@
 use singletrack_control::{InertialSample, Time};
 use singletrack_core::{config::WatchSection, controller::imu_tilt};
 use singletrack_mocap::{Observation as Frame, PoseState};
-use singletrack_record::{Entry, TelemetryRecord, TickRecord};
+use singletrack_record::{Entry, StatusRecord, TelemetryRecord, TickRecord};
 
 use crate::{BoardReading, Inertial, Observation, PoseReading, TickReading};
 
@@ -103,12 +103,51 @@ impl BoardReading {
     }
 }
 
+/// Observations of a time, each kind in the order of its arrival.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Readings {
+    pub(crate) boards: Vec<BoardReading>,
+    pub(crate) health: Vec<StatusRecord>,
+    pub(crate) poses: Vec<PoseReading>,
+    /// The states of frames without a pose.
+    pub(crate) lost: Vec<&'static str>,
+    pub(crate) ticks: Vec<TickReading>,
+    pub(crate) links: Vec<bool>,
+}
+
+impl Readings {
+    pub(crate) fn take(&mut self, observed: &mut Vec<Observation>) {
+        for observation in observed.drain(..) {
+            match observation {
+                Observation::Board(reading) => self.boards.push(reading),
+                Observation::Health(health) => self.health.push(health),
+                Observation::Pose(pose) => self.poses.push(pose),
+                Observation::NoPose { state, .. } => self.lost.push(state),
+                Observation::Tick(tick) => self.ticks.push(tick),
+                Observation::Link(ready) => self.links.push(ready),
+            }
+        }
+    }
+
+    /// The samples of the IMU.
+    pub(crate) fn inertial(&self) -> impl DoubleEndedIterator<Item = Inertial> {
+        self.boards.iter().filter_map(|board| board.inertial)
+    }
+
+    /// A time in s since the first record of the board; without one since the first pose.
+    pub(crate) fn at(&self, time: Time) -> f64 {
+        let board = self.boards.first().map(|board| board.time);
+        let begin = board.or(self.poses.first().map(|pose| pose.capture));
+        begin.map_or(0.0, |begin| time.seconds_since(begin))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use singletrack_protocol::{
         BoardMode, ImuState, RefusalReason, ResetCause, Sequence, Status, StopCause, Telemetry,
     };
-    use singletrack_record::{Drops, StatusRecord};
+    use singletrack_record::Drops;
 
     use super::*;
 

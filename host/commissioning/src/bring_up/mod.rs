@@ -207,17 +207,17 @@ fn noise_plot(levels: &[NoiseLevel]) -> Plot {
         let points = levels.iter().map(|level| [level.speed, density(level)]);
         PlotLine::new(name, kind, points.collect())
     };
-    Plot {
-        name: "imu-noise",
-        title: "The accelerometer's noise with the wheels turning",
-        x: ("speed of the wheels", "m/s"),
-        y: ("noise density", "m/s²/√Hz"),
-        equal: false,
-        lines: vec![
-            line("forward", PlotKind::Measured, |level| {
-                level.forward.density.value
-            }),
-            line("left", PlotKind::Other, |level| level.left.density.value),
-        ],
-    }
+    let forward = |level: &NoiseLevel| level.forward.density.value;
+    let lines = vec![
+        line("forward", PlotKind::Measured, forward),
+        line("left", PlotKind::Other, |level| level.left.density.value),
+    ];
+    let title = "The accelerometer's noise with the wheels turning";
+    let speed = ("speed of the wheels", "m/s");
+    Plot::new(
+        "imu-noise",
+        title,
+        [speed, ("noise density", "m/s²/√Hz")],
+        lines,
+    )
 }

@@ -2,17 +2,19 @@
 //! where it is no straight line, and the body on the car.
 
 use singletrack_control::{
-    CarPose, InertialSample, Position, SteeringTable, VehicleParameters, Velocity, direction, wrap,
+    CarPose, InertialSample, SteeringTable, VehicleParameters, Velocity, direction, wrap,
 };
 use singletrack_core::{Config, config::ServoSection};
 
-use super::floor::{self, Drive, Figure, SLOW, Wanted, round};
+use super::floor::{self, Figure, SLOW, Wanted, round};
 use crate::{
-    Bench, Finding, Interval, Observation, Parameter, Plot, PlotKind, PlotLine, Trouble, Verdict,
+    Bench, BoardReading, Finding, Inertial, Interval, Parameter, Plot, PlotKind, PlotLine,
+    PoseReading, Trouble, Verdict,
     finding::{change, failed, keys},
-    fit::{self, Body, Frames, Motion, Signal, Track, Wheels},
+    fit::{self, Body, Driven, Frames, Motion, Signal, Wheels},
+    observed::Readings,
     seen,
-    sensors::{self, Readings, Sensor, Source},
+    sensors::{self, Source},
 };
 
 /// The way, m.
@@ -25,39 +27,29 @@ const LARGEST_RATIO: f64 = 0.15;
 pub(super) fn straight(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stands = floor::begin(bench, SLOW)?;
     let yaw = stands.pose.map_or(0.0, |(_, yaw)| yaw);
-    let Some(point) = stands.point else {
-        return Err(failed("no estimate", "run it again"));
-    };
+    let point = stands.point;
+    let point = point.ok_or_else(|| failed("no estimate", "run it again"))?;
     let velocity = SLOW * direction(yaw);
     floor::room_ahead(bench, point, METRE * direction(yaw))?;
-    let wanted = |time: f64| Wanted {
-        position: point + time * velocity,
-        velocity,
-        rolls: false,
+    let wanted = |time: f64| {
+        let position = point + time * velocity;
+        Some(Wanted { position, velocity })
     };
-    let mut drive = floor::drive(bench, METRE / SLOW, "a straight metre", &wanted)?.completed()?;
-    let begin = drive.on_track(1.5);
-    let end = drive.on_track(METRE / SLOW - 0.2);
-    let Drive { track, .. } = &drive;
+    let drive = floor::drive(bench, METRE / SLOW, "a straight metre", &wanted)?.completed()?;
+    let ends = [1.5, METRE / SLOW - 0.2].map(|far| drive.when(far));
     let body_yaw = bench.configuration().motion_capture.marker_yaw_rad;
-    let motion = track.motion(0.0);
-    let inside: Vec<usize> = (0..motion.time.len())
-        .filter(|&index| (begin..=end).contains(&motion.time[index]))
-        .collect();
-    let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
+    let motion = between(&drive.readings.motion(0.0), ends[0], ends[1]);
+    let ([first, .., last], [from, .., to]) = (&motion.time[..], &motion.yaw[..]) else {
         let fix = "check that all markers are visible, and run it again";
         return Err(failed("the cameras saw too little of it", fix));
     };
-    let [along, across] = motion.displacement(body_yaw)[first..last]
-        .iter()
-        .fold([0.0; 2], |sum, moved| {
-            [sum[0] + moved[0], sum[1] + moved[1]]
-        });
+    let displacement = motion.displacement(body_yaw).into_iter();
+    let moved: Velocity = displacement.map(Velocity::from).sum();
+    let (along, across) = (moved.x, moved.y);
     let course = across.atan2(along);
-    let way = track.way();
-    let pulses = way.at(motion.time[last]) - way.at(motion.time[first]);
-    let ratio = pulses / along.hypot(across);
-    let turn = motion.yaw[last] - motion.yaw[first];
+    let way = drive.readings.way();
+    let ratio = (way.at(*last) - way.at(*first)) / along.hypot(across);
+    let turn = to - from;
     let is_good = course.abs() < LARGEST_COURSE && (ratio - 1.0).abs() < LARGEST_RATIO;
     let found = format!(
         "{:.2} m at {:.1} degrees to its axis, turned by {:.1} degrees; the pulses say {:.1} % of \
@@ -99,79 +91,65 @@ pub(super) fn bends(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let figure = Figure::find(bench, &stands)?;
     let lead = figure.approach() + LEAD;
     let seconds = (lead + 2.0 * PASSES as f64 * figure.lap()) / SLOW;
-    let mut drive = floor::drive(bench, seconds, "circles to both sides", &|time| {
+    let drive = floor::drive(bench, seconds, "circles to both sides", &|time| {
         let [offset, rate] = weave(time);
-        figure.at(SLOW * time, SLOW).aside(offset, rate)
+        Some(figure.at(SLOW * time, SLOW).aside(offset, rate))
     })?
     .completed()?;
     let bounds: Vec<f64> = (0..=PASSES)
-        .map(|pass| drive.on_track((lead + 2.0 * pass as f64 * figure.lap()) / SLOW))
+        .map(|pass| drive.when((lead + 2.0 * pass as f64 * figure.lap()) / SLOW))
         .collect();
-    let finding = identified(bench, &drive.track, &bounds)?;
-    Ok(with_sensors(
-        finding,
-        bench.configuration(),
-        &drive.observed,
-    ))
+    let finding = identified(bench, &drive.readings, &bounds)?;
+    let config = bench.configuration();
+    Ok(with_sensors(finding, config, &drive.readings))
 }
 
 /// The finding, with each sensor beside the cameras: slope, lag and correlation.
-fn with_sensors(mut finding: Finding, config: &Config, observed: &[Observation]) -> Finding {
+fn with_sensors(mut finding: Finding, config: &Config, readings: &Readings) -> Finding {
     let cameras = &config.motion_capture;
     let servo = &config.board.servo;
-    let mut poses = Vec::new();
-    let mut readings = Readings::default();
-    for observation in observed {
-        match observation {
-            Observation::Pose(pose) => {
-                let yaw = pose.yaw - cameras.marker_yaw_rad;
-                let axis = direction(yaw);
-                let [ahead, left] = cameras.marker_offset_m;
-                let [x, y, _] = pose.position;
-                let body = ahead * axis + left * Velocity::new(-axis.y, axis.x);
-                let position = Position::new(x, y) - body;
-                poses.push((pose.capture, CarPose { position, yaw }));
-            }
-            Observation::Board(board) => {
-                let off = f64::from(board.servo_us) - f64::from(servo.centre_us);
-                let angle = off / f64::from(servo.gain_us_per_rad);
-                readings.steering.push((board.time, angle));
-                readings.motor.push((board.time, board.motor_speed));
-                readings
-                    .inertial
-                    .extend(board.inertial.map(|inertial| InertialSample {
-                        time: inertial.time,
-                        yaw_rate: inertial.angular_velocity[2],
-                        forward_acceleration: inertial.acceleration[0],
-                        left_acceleration: inertial.acceleration[1],
-                    }));
-            }
-            _ => {}
-        }
-    }
+    let pose = |pose: &PoseReading| {
+        let yaw = pose.yaw - cameras.marker_yaw_rad;
+        let car = PoseReading { yaw, ..*pose };
+        let position = car.place_of(cameras.marker_offset_m).into();
+        (pose.capture, CarPose { position, yaw })
+    };
+    let angle = |board: &BoardReading| {
+        let off = f64::from(board.servo_us) - f64::from(servo.centre_us);
+        (board.time, off / f64::from(servo.gain_us_per_rad))
+    };
+    let sample = |inertial: Inertial| InertialSample {
+        time: inertial.time,
+        yaw_rate: inertial.angular_velocity[2],
+        forward_acceleration: inertial.acceleration[0],
+        left_acceleration: inertial.acceleration[1],
+    };
+    let boards = readings.boards.iter();
+    let read = sensors::Readings {
+        inertial: readings.inertial().map(sample).collect(),
+        motor: boards
+            .clone()
+            .map(|board| (board.time, board.motor_speed))
+            .collect(),
+        steering: boards.map(angle).collect(),
+    };
+    let poses: Vec<_> = readings.poses.iter().map(pose).collect();
     let wheelbase = config.vehicle.wheelbase_m();
-    let (sensors, wrong) = sensors::compare(&seen::tell(&poses), &readings, wheelbase, Source::Car);
+    let (sensors, wrong) = sensors::compare(&seen::tell(&poses), &read, wheelbase, Source::Car);
     for sensor in &sensors {
-        let Sensor {
-            sensor,
-            slope,
-            lag_s,
-            correlation,
-            ..
-        } = sensor;
-        let lag = 1e3 * lag_s;
         finding.found += &format!(
-            "; {sensor} {slope:.2} of the cameras, {lag:+.0} ms, correlation {correlation:.2}"
+            "; {} {:.2} of the cameras, {:+.0} ms, correlation {:.2}",
+            sensor.sensor,
+            sensor.slope,
+            1e3 * sensor.lag_s,
+            sensor.correlation
         );
     }
     if !wrong.is_empty() {
         finding.verdict = finding.verdict.max(Verdict::Warning);
-        finding.fix = [finding.fix]
-            .into_iter()
-            .filter(|fix| !fix.is_empty())
-            .chain(wrong)
-            .collect::<Vec<_>>()
-            .join("; ");
+        let fixes = [finding.fix].into_iter().chain(wrong);
+        let fixes: Vec<_> = fixes.filter(|fix| !fix.is_empty()).collect();
+        finding.fix = fixes.join("; ");
     }
     finding
 }
@@ -210,7 +188,41 @@ fn rear_slip(vehicle: &VehicleParameters) -> f64 {
     load / vehicle.rear_cornering_stiffness_n_rad
 }
 
-fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Finding, Trouble> {
+/// A pass around both circles, and what it shows of the body and of the steering.
+struct Pass<'a> {
+    driven: Driven<'a>,
+    body: Body,
+    wheels: Wheels,
+}
+
+impl<'a> Pass<'a> {
+    fn of(motion: Motion, pulses: &'a Frames, way: &Signal, believed: &'a Config) -> Option<Self> {
+        let Config { vehicle, board, .. } = believed;
+        let (yaw, slip) = (believed.motion_capture.marker_yaw_rad, rear_slip(vehicle));
+        let servo = &board.servo;
+        let body = fit::body(&motion, way, yaw, slip)?;
+        // Once more about the yaw that was found: the fit is linear in its error.
+        let body = fit::body(&motion, way, body.yaw, slip)?;
+        let driven = Driven {
+            speed: motion.rear_speed(body.yaw, body.left, 2),
+            motion,
+            pulses,
+            vehicle,
+        };
+        let wheels = driven.wheels([servo.centre_us.into(), servo.gain_us_per_rad.into()])?;
+        Some(Self {
+            driven,
+            body,
+            wheels,
+        })
+    }
+}
+
+fn identified(
+    bench: &mut dyn Bench,
+    readings: &Readings,
+    bounds: &[f64],
+) -> Result<Finding, Trouble> {
     let undetermined = || {
         let found = "the drive does not determine the car: too few poses, or too little steering";
         let fix = "check that all markers are visible everywhere, and run this step again";
@@ -218,47 +230,42 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     };
     let believed = bench.configuration().clone();
     let vehicle = &believed.vehicle;
-    let [over, of] = track.latency();
+    let [over, of] = readings.latency();
     let late = if of > 0.0 { over / of } else { 0.0 };
-    let motion = track.motion(late);
-    let (pulses, way) = (track.servo(), track.way());
-    let motions: Vec<Motion> = bounds
-        .windows(2)
-        .map(|ends| between(&motion, ends[0], ends[1]))
-        .collect();
-    let passes: Vec<(Body, Wheels)> = motions
-        .iter()
-        .map(|motion| pass(motion, &pulses, &way, &believed))
-        .collect::<Option<_>>()
-        .ok_or_else(undetermined)?;
-    if let (Some(motion), Some(first)) = (motions.first(), passes.first()) {
-        plot(bench, motion, &pulses, vehicle, first);
+    let motion = readings.motion(late);
+    let (pulses, way) = (readings.servo(), readings.way());
+    let passes = bounds.windows(2).map(|ends| {
+        let motion = between(&motion, ends[0], ends[1]);
+        Pass::of(motion, &pulses, &way, &believed)
+    });
+    let passes: Vec<Pass<'_>> = passes.collect::<Option<_>>().ok_or_else(undetermined)?;
+    if let Some(first) = passes.first() {
+        plot(bench, first);
     }
-    let interval = |of: &dyn Fn(&(Body, Wheels)) -> f64, systematic: f64| {
+    let interval = |of: fn(&Pass<'_>) -> f64, systematic: f64| {
         fit::mean_interval(passes.iter().map(of), systematic).ok_or_else(undetermined)
     };
-    let speed = SLOW;
-    let slip = STIFFNESS * rear_slip(vehicle) * speed * speed;
+    let slip = STIFFNESS * rear_slip(vehicle) * SLOW * SLOW;
     let of_length = RULER / vehicle.wheelbase_m();
-    let gain = interval(&|(_, steering)| steering.gain_us_per_rad, 0.0)?;
+    let gain = interval(|pass| pass.wheels.gain_us_per_rad, 0.0)?;
     let gain = gain.widened(gain.value * of_length.hypot(0.003));
-    let centre = interval(&|(_, steering)| steering.centre_us, 1.0)?;
-    let yaw = interval(&|(body, _)| body.yaw, 0.000_5)?;
-    let ahead = interval(&|(body, _)| body.ahead, slip.hypot(AXLE))?;
+    let centre = interval(|pass| pass.wheels.centre_us, 1.0)?;
+    let yaw = interval(|pass| pass.body.yaw, 0.000_5)?;
+    let ahead = interval(|pass| pass.body.ahead, slip.hypot(AXLE))?;
     let ahead = ahead.shifted(-vehicle.rear_axle_distance_m);
-    let left = interval(&|(body, _)| body.left, 0.000_5)?;
-    let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * ALIKE[0])?;
-    let dead = interval(&|(_, steering)| 1e3 * steering.delay, 1e3 * ALIKE[1])?;
+    let left = interval(|pass| pass.body.left, 0.000_5)?;
+    let lag = interval(|pass| 1e3 * pass.wheels.lag, 1e3 * ALIKE[0])?;
+    let dead = interval(|pass| 1e3 * pass.wheels.delay, 1e3 * ALIKE[1])?;
     let excess = [0, 1].map(|side| {
-        let excesses = passes.iter().map(|(_, steering)| steering.excess[side]);
+        let excesses = passes.iter().map(|pass| pass.wheels.excess[side]);
         100.0 * excesses.sum::<f64>() / passes.len() as f64
     });
-    let play = fit::mean(passes.iter().map(|(_, steering)| steering.play_us));
+    let play = fit::mean(passes.iter().map(|pass| pass.wheels.play_us));
     let play = play.ok_or_else(undetermined)?;
 
     let config = bench.configuration();
     let servo = &config.board.servo;
-    let bent = bent(&motions, &pulses, vehicle, &passes, servo)
+    let bent = Bent::of(&passes, servo)
         .filter(|bent| bent.is_bent() || config.actuators.steering_table.is_some());
     let (straight_us, reach) = match &bent {
         Some(bent) => {
@@ -333,54 +340,26 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
 }
 
 /// The way of the body in a pass, and the yaw rate in the middle of it.
-fn plot(
-    bench: &mut dyn Bench,
-    motion: &Motion,
-    pulses: &Frames,
-    vehicle: &VehicleParameters,
-    (body, steering): &(Body, Wheels),
-) {
+fn plot(bench: &mut dyn Bench, pass: &Pass<'_>) {
     const SHOWN: f64 = 6.0;
-    let places = PlotLine::new("body", PlotKind::Measured, motion.position.clone());
+    let position = pass.driven.motion.position.clone();
+    let lines = vec![PlotLine::new("body", PlotKind::Measured, position)];
     let title = "The body on both circles";
-    bench.plot(&Plot::of_places("bends", title, vec![places]));
-    let speed = motion.rear_speed(body.yaw, body.left, 2);
-    let rates = fit::yaw_rates(motion, pulses, &speed, vehicle, steering);
+    bench.plot(&Plot::new("bends", title, Plot::PLACES, lines));
+    let rates = pass.driven.yaw_rates(&pass.wheels);
     let middle = rates.get(rates.len() / 2).map_or(0.0, |[time, ..]| *time);
     let shown = |of: usize| {
-        rates
+        let near = rates
             .iter()
-            .filter(|rate| (rate[0] - middle).abs() < SHOWN / 2.0)
-            .map(|rate| [rate[0] - middle, rate[of]])
-            .collect::<Vec<_>>()
+            .filter(|rate| (rate[0] - middle).abs() < SHOWN / 2.0);
+        near.map(|rate| [rate[0] - middle, rate[of]]).collect()
     };
-    let (measured, fitted) = (shown(1), shown(2));
     let title = "The yaw rate, measured and by the servo's pulses";
-    let axis = ("yaw rate", "rad/s");
     let lines = vec![
-        PlotLine::new("measured", PlotKind::Measured, measured),
-        PlotLine::new("fitted", PlotKind::Fitted, fitted),
+        PlotLine::new("measured", PlotKind::Measured, shown(1)),
+        PlotLine::new("fitted", PlotKind::Fitted, shown(2)),
     ];
-    bench.plot(&Plot::over_time("steering", title, axis, lines));
-}
-
-/// One pass.
-fn pass(
-    motion: &Motion,
-    pulses: &Frames,
-    way: &Signal,
-    believed: &Config,
-) -> Option<(Body, Wheels)> {
-    let Config { vehicle, board, .. } = believed;
-    let (yaw, slip) = (believed.motion_capture.marker_yaw_rad, rear_slip(vehicle));
-    let servo = &board.servo;
-    let servo = [servo.centre_us.into(), servo.gain_us_per_rad.into()];
-    let body = fit::body(motion, way, yaw, slip)?;
-    // Once more about the yaw that was found: the fit is linear in its error.
-    let body = fit::body(motion, way, body.yaw, slip)?;
-    let speed = motion.rear_speed(body.yaw, body.left, 2);
-    let steering = fit::wheels(motion, pulses, &speed, vehicle, servo)?;
-    Some((body, steering))
+    bench.plot(&Plot::new("steering", title, Plot::YAW_RATE, lines));
 }
 
 /// Angles that are off the line by less in all passes are left to the line, rad.
@@ -389,10 +368,10 @@ const STRAIGHT_LINE: f64 = 0.01;
 const ROOM_US: f64 = 80.0;
 
 /// The steering as pairs, and how far it is from a straight line.
-pub(super) struct Bent {
-    pub(super) table: SteeringTable,
+struct Bent {
+    table: SteeringTable,
     /// The distance from the line of the angle that is farthest from it, rad.
-    pub(super) off: Interval,
+    off: Interval,
 }
 
 impl Bent {
@@ -403,8 +382,71 @@ impl Bent {
     }
 
     /// The pairs as TOML.
-    pub(super) fn value(&self) -> toml_edit::Value {
+    fn value(&self) -> toml_edit::Value {
         pairs(self.table.pairs().iter().copied())
+    }
+
+    /// Fits two straight parts to either side to every pass. None if the passes don't determine them,
+    /// or if what they give is no table.
+    fn of(passes: &[Pass<'_>], servo: &ServoSection) -> Option<Self> {
+        let centre_us = fit::mean(passes.iter().map(|pass| pass.wheels.centre_us))?;
+        let gain_us_per_rad = fit::mean(passes.iter().map(|pass| pass.wheels.gain_us_per_rad))?;
+        let (first, last) = (&passes.first()?.driven, &passes.last()?.driven);
+        let times = *first.motion.time.first()?..*last.motion.time.last()?;
+        let driven = first
+            .pulses
+            .0
+            .iter()
+            .filter(|(time, _)| times.contains(time));
+        let [least, most] = driven.fold([f64::INFINITY, 0.0_f64], |[least, most], &(_, pulse)| {
+            [least.min(pulse), most.max(pulse)]
+        });
+        let fitted = |middle: f64| {
+            if middle - least < ROOM_US || most - middle < ROOM_US {
+                return None;
+            }
+            let halves = [least, most].map(|end| f64::midpoint(end, middle));
+            let at_us = [least, halves[0], middle, halves[1], most].map(f64::round);
+            let angles = passes
+                .iter()
+                .map(|pass| pass.driven.wheel_angles(&pass.wheels, &at_us));
+            let angles: Vec<[f64; 5]> = angles.collect::<Option<_>>()?;
+            let pairs = at_us.into_iter().enumerate().map(|(index, pulse)| {
+                Some([pulse, fit::mean(angles.iter().map(|angles| angles[index]))?])
+            });
+            Some((pairs.collect::<Option<Vec<[f64; 2]>>>()?, angles))
+        };
+        // Where the wheels are straight the steering has its corner, if it has one. That is not where
+        // the straight line has its zero.
+        let (first, _) = fitted(centre_us)?;
+        let (mut pairs, angles) = fitted(SteeringTable::new(&first).ok()?.pulse(0.0))?;
+        let mut off: Option<Interval> = None;
+        for (index, [pulse, _]) in pairs.iter().enumerate() {
+            let line = (pulse - centre_us) / gain_us_per_rad;
+            let this = fit::mean_interval(angles.iter().map(|angles| angles[index] - line), 0.0)?;
+            if off.is_none_or(|off| this.value.abs() > off.value.abs()) {
+                off = Some(this);
+            }
+        }
+        // To the ends of the servo, as at the last pulses that were driven.
+        let onward = |[from, angle]: [f64; 2], [to, next]: [f64; 2], end: f64| {
+            [end, next + (end - to) * (next - angle) / (to - from)]
+        };
+        let [min_us, max_us] = [servo.min_us, servo.max_us].map(f64::from);
+        if min_us < least {
+            pairs.insert(0, onward(pairs[1], pairs[0], min_us));
+        }
+        if max_us > most {
+            let last = pairs.len() - 1;
+            pairs.push(onward(pairs[last - 1], pairs[last], max_us));
+        }
+        for pair in &mut pairs {
+            pair[1] = round(pair[1], 4);
+        }
+        Some(Self {
+            table: SteeringTable::new(&pairs).ok()?,
+            off: off?,
+        })
     }
 }
 
@@ -422,83 +464,4 @@ pub(crate) fn straight_line(
 /// Pairs of pulse and angle as TOML.
 fn pairs(pairs: impl IntoIterator<Item = [f64; 2]>) -> toml_edit::Value {
     toml_edit::Value::from_iter(pairs.into_iter().map(toml_edit::Value::from_iter))
-}
-
-/// Fits two straight parts to either side to every pass. None if the passes don't determine them,
-/// or if what they give is no table.
-pub(super) fn bent(
-    motions: &[Motion],
-    pulses: &Frames,
-    vehicle: &VehicleParameters,
-    passes: &[(Body, Wheels)],
-    servo: &ServoSection,
-) -> Option<Bent> {
-    let centre_us = fit::mean(passes.iter().map(|(_, wheels)| wheels.centre_us))?;
-    let gain_us_per_rad = fit::mean(passes.iter().map(|(_, wheels)| wheels.gain_us_per_rad))?;
-    let begin = *motions.first()?.time.first()?;
-    let end = *motions.last()?.time.last()?;
-    let driven = pulses
-        .0
-        .iter()
-        .filter(|(time, _)| (begin..end).contains(time));
-    let [least, most] = driven.fold([f64::INFINITY, 0.0_f64], |[least, most], &(_, pulse)| {
-        [least.min(pulse), most.max(pulse)]
-    });
-    let fitted = |middle: f64| {
-        if middle - least < ROOM_US || most - middle < ROOM_US {
-            return None;
-        }
-        let at_us = [
-            least,
-            f64::midpoint(least, middle),
-            middle,
-            f64::midpoint(middle, most),
-            most,
-        ]
-        .map(f64::round);
-        let angles: Vec<[f64; 5]> = motions
-            .iter()
-            .zip(passes)
-            .map(|(motion, (body, wheels))| {
-                let speed = motion.rear_speed(body.yaw, body.left, 2);
-                fit::wheel_angles(motion, pulses, &speed, vehicle, wheels, &at_us)
-            })
-            .collect::<Option<_>>()?;
-        let mut pairs = Vec::with_capacity(at_us.len() + 2);
-        for (index, pulse) in at_us.into_iter().enumerate() {
-            pairs.push([pulse, fit::mean(angles.iter().map(|angles| angles[index]))?]);
-        }
-        Some((pairs, angles))
-    };
-    // Where the wheels are straight the steering has its corner, if it has one. That is not where the
-    // straight line has its zero.
-    let (first, _) = fitted(centre_us)?;
-    let (mut pairs, angles) = fitted(SteeringTable::new(&first).ok()?.pulse(0.0))?;
-    let mut off: Option<Interval> = None;
-    for (index, [pulse, _]) in pairs.iter().enumerate() {
-        let line = (pulse - centre_us) / gain_us_per_rad;
-        let this = fit::mean_interval(angles.iter().map(|angles| angles[index] - line), 0.0)?;
-        if off.is_none_or(|off| this.value.abs() > off.value.abs()) {
-            off = Some(this);
-        }
-    }
-    // To the ends of the servo, as at the last pulses that were driven.
-    let onward = |[from, angle]: [f64; 2], [to, next]: [f64; 2], end: u16| {
-        let end = f64::from(end);
-        [end, next + (end - to) * (next - angle) / (to - from)]
-    };
-    if f64::from(servo.min_us) < least {
-        pairs.insert(0, onward(pairs[1], pairs[0], servo.min_us));
-    }
-    if f64::from(servo.max_us) > most {
-        let last = pairs.len() - 1;
-        pairs.push(onward(pairs[last - 1], pairs[last], servo.max_us));
-    }
-    for pair in &mut pairs {
-        pair[1] = round(pair[1], 4);
-    }
-    Some(Bent {
-        table: SteeringTable::new(&pairs).ok()?,
-        off: off?,
-    })
 }

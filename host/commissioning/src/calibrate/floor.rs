@@ -1,6 +1,6 @@
 //! Drives on the floor: where there is room, and what a drive shows.
 
-use singletrack_control::{Position, Velocity, direction, wrap};
+use singletrack_control::{Position, Time, Velocity, direction, wrap};
 use singletrack_core::Config;
 use singletrack_pilot::{Fence, Mode};
 use singletrack_protocol::BoardMode;
@@ -8,7 +8,7 @@ use singletrack_protocol::BoardMode;
 use crate::{
     Answer, Attendance, Bench, Interrupted, Observation, Question, TickReading, Trouble,
     finding::{change, failed, require, stopped},
-    fit::Track,
+    observed::Readings,
 };
 
 /// The speed of the first drives, m/s.
@@ -43,22 +43,14 @@ const READY_TICKS: usize = 1_500;
 pub(super) struct Wanted {
     pub(super) position: Position,
     pub(super) velocity: Velocity,
-    /// The car is to roll out at neutral instead, wherever that is.
-    pub(super) rolls: bool,
 }
 
 /// What a drive showed.
 #[derive(Default)]
 pub(super) struct Drive {
-    pub(super) track: Track,
-    /// The readings of board and cameras.
-    pub(super) observed: Vec<Observation>,
-    pub(super) ticks: Vec<TickReading>,
-    /// When the drive was how far, in ns and s.
-    progress: Vec<(u64, f64)>,
-    board_is_armed: bool,
-    /// When its last frame with a pose arrived, in ns.
-    pub(super) last_pose_ns: u64,
+    pub(super) readings: Readings,
+    /// When the drive was how far, in s.
+    progress: Vec<(Time, f64)>,
     /// Why it ended, if by itself.
     pub(super) reason: Option<&'static str>,
 }
@@ -154,38 +146,43 @@ impl Figure {
             failed(found, fix)
         };
         let fence = config.fence.fence(&config.vehicle).map_err(|_| no_room())?;
-        let (Some(point), Some((_, yaw))) = (stands.point, stands.pose) else {
+        let (Some(start), Some((_, yaw))) = (stands.point, stands.pose) else {
             return Err(no_room());
         };
         let radius = radius(config);
-        let start = point;
         let corners = fence.corners();
         let sum: Velocity = corners.iter().map(|corner| corner.coords).sum();
         let middle = Position::from(sum / corners.len() as f64);
         let to_middle = middle - start;
         let to_middle = to_middle.y.atan2(to_middle.x);
-        let mut best: Option<(f64, Self)> = None;
+        let mut figures = Vec::new();
         for (tangent, course) in [(start, yaw), (middle, to_middle)] {
-            let way = (tangent - start).norm();
             for turn in -11..=12 {
                 let turned = f64::from(turn) * 15.0_f64.to_radians();
-                let figure = Self {
-                    start,
-                    tangent,
-                    heading: course + turned,
-                    first: 1.0,
-                    radius,
-                };
+                let touching = Self::touching(tangent, course + turned, radius);
+                let figure = Self { start, ..touching };
                 // A way to drive there, and a turn at both of its ends, are to be avoided.
                 let off = wrap(course - yaw).abs();
-                let cost = way + turned.abs() + off;
-                let is_better = best.as_ref().is_none_or(|(least, _)| cost < *least);
-                if is_better && figure.fits(&fence, 2.0, ROOM) {
-                    best = Some((cost, figure));
-                }
+                figures.push((figure.approach() + turned.abs() + off, figure));
             }
         }
-        best.map(|(_, figure)| figure).ok_or_else(no_room)
+        let figures = figures.into_iter();
+        figures
+            .filter(|(_, figure)| figure.fits(&fence, 2.0, ROOM))
+            .min_by(|(one, _), (other, _)| one.total_cmp(other))
+            .map(|(_, figure)| figure)
+            .ok_or_else(no_room)
+    }
+
+    /// The one that begins where its circles touch.
+    fn touching(tangent: Position, heading: f64, radius: f64) -> Self {
+        Self {
+            start: tangent,
+            tangent,
+            heading,
+            first: 1.0,
+            radius,
+        }
     }
 
     /// A circle from where the car stands, along its heading, with room beyond it for a stop
@@ -196,15 +193,11 @@ impl Figure {
         let (start, (_, yaw)) = (stands.point?, stands.pose?);
         // A stop holds the steering: it needs less.
         let room = ROOM + 0.5 * speed * speed / (2.0 * config.fence.braking_m_s2);
-        let circle = |first| Self {
-            start,
-            tangent: start,
-            heading: yaw,
-            first,
-            radius: radius(config),
-        };
-        let mut circles = [1.0, -1.0].map(circle).into_iter();
-        circles.find(|circle| circle.fits(&fence, 1.0, room))
+        let left = Self::touching(start, yaw, radius(config));
+        let circles = [1.0, -1.0].map(|first| Self { first, ..left });
+        circles
+            .into_iter()
+            .find(|circle| circle.fits(&fence, 1.0, room))
     }
 
     /// Whether there is room for so many laps, with this distance to the geofence, m.
@@ -233,7 +226,6 @@ impl Figure {
             return Wanted {
                 position: self.start + way * along,
                 velocity: speed * along,
-                rolls: false,
             };
         }
         let laps = (way - approach) / self.lap();
@@ -247,7 +239,6 @@ impl Figure {
         Wanted {
             position: self.tangent + self.radius * (direction(inward) + direction(outward)),
             velocity: speed * direction(course),
-            rolls: false,
         }
     }
 }
@@ -311,14 +302,8 @@ pub fn lacks_room(config: &Config) -> Option<String> {
         // Both circles are the same from behind.
         fence.clearance(&tangent) > ROOM
             && (0..12).any(|turn| {
-                let figure = Figure {
-                    start: tangent,
-                    tangent,
-                    heading: f64::from(turn) * 15.0_f64.to_radians(),
-                    first: 1.0,
-                    radius,
-                };
-                figure.fits(&fence, 2.0, ROOM)
+                let heading = f64::from(turn) * 15.0_f64.to_radians();
+                Figure::touching(tangent, heading, radius).fits(&fence, 2.0, ROOM)
             })
     });
     if fits {
@@ -346,18 +331,17 @@ impl Wanted {
         Self {
             position: self.position + offset * left,
             velocity: self.velocity + rate * left,
-            ..self
         }
     }
 }
 
-/// Drives P as wanted for a time in s, then stops and disarms. A drive that ends by itself is no
-/// error.
+/// Drives P as wanted for a time in s, then stops and disarms; the car rolls out at neutral while
+/// nothing is wanted. A drive that ends by itself is no error.
 pub(super) fn drive(
     bench: &mut dyn Bench,
     seconds: f64,
     text: &str,
-    wanted: &dyn Fn(f64) -> Wanted,
+    wanted: &dyn Fn(f64) -> Option<Wanted>,
 ) -> Result<Drive, Trouble> {
     let mut point: Option<Position> = None;
     const FIX: &str = "Correct it and run this step again.";
@@ -367,13 +351,13 @@ pub(super) fn drive(
     let mut drive = Drive::default();
     let mut observed = Vec::new();
     let mut is_over = false;
-    let mut last_ns = None;
+    let mut last = None;
     let (mut now, mut pace) = (0.0, 1.0);
     while !is_over && now < seconds {
         let next = wanted(now);
-        let velocity = match (point, last_ns) {
-            (Some(point), Some(_)) if !next.rolls => {
-                // What waits does not move.
+        let velocity = match (point, last, next) {
+            // What waits does not move.
+            (Some(point), Some(_), Some(next)) => {
                 pace * next.velocity + GAIN * (next.position - point)
             }
             // The board arms, or the car rolls: a lower speed than the present one is neutral.
@@ -383,13 +367,10 @@ pub(super) fn drive(
             stop(bench, &mut drive)?;
             return Err(failed(format!("the drive ended: {error}"), FIX));
         }
-        observed.clear();
         bench.wait(&mut observed)?;
-        for observation in &observed {
-            drive.take(observation);
-            let Observation::Tick(tick) = observation else {
-                continue;
-            };
+        let before = drive.readings.ticks.len();
+        drive.readings.take(&mut observed);
+        for tick in &drive.readings.ticks[before..] {
             point = tick.point;
             if tick.mode == Mode::Arming {
                 continue;
@@ -398,19 +379,17 @@ pub(super) fn drive(
                 drive.reason = tick.reason.map(singletrack_pilot::Reason::name);
                 is_over |= tick.mode != Mode::Slowing;
             }
-            let behind = match tick.point {
-                Some(point) if !next.rolls => (point - next.position).norm(),
-                _ => 0.0,
-            };
+            let behind = point.zip(next);
+            let behind = behind.map_or(0.0, |(point, next)| (point - next.position).norm());
             if behind > ASTRAY {
                 drive.reason = Some("astray");
                 is_over = true;
             }
-            let elapsed = tick.time.0.saturating_sub(last_ns.unwrap_or(tick.time.0));
+            let elapsed = tick.time.seconds_since(last.unwrap_or(tick.time));
             pace = 1.0 - ((behind - WAITS[0]) / (WAITS[1] - WAITS[0])).clamp(0.0, 1.0);
-            now += pace * elapsed as f64 * 1e-9;
-            last_ns = Some(tick.time.0);
-            drive.progress.push((tick.time.0, now));
+            now += pace * elapsed.max(0.0);
+            last = Some(tick.time);
+            drive.progress.push((tick.time, now));
         }
         bench.show(text, (now / seconds).clamp(0.0, 1.0));
     }
@@ -423,17 +402,15 @@ fn stop(bench: &mut dyn Bench, drive: &mut Drive) -> Result<(), Interrupted> {
     let _ = bench.disarm();
     let mut observed = Vec::new();
     for _ in 0..600 {
-        observed.clear();
         bench.wait(&mut observed)?;
-        for observation in &observed {
-            drive.take(observation);
-        }
-        let last = drive.ticks.last().map(|tick| tick.mode);
-        let stands = matches!(
-            last,
-            Some(Mode::Idle | Mode::Ready | Mode::Disconnected | Mode::Fault)
-        );
-        if stands && !drive.board_is_armed {
+        drive.readings.take(&mut observed);
+        let mode = drive.readings.ticks.last().map(|tick| tick.mode);
+        let of_board = drive.readings.boards.last().map(|board| board.mode);
+        use BoardMode::{Armed, Driving, PoweringUp};
+        use Mode::{Disconnected, Fault, Idle, Ready};
+        if matches!(mode, Some(Idle | Ready | Disconnected | Fault))
+            && !matches!(of_board, Some(Armed | Driving | PoweringUp))
+        {
             break;
         }
     }
@@ -441,32 +418,11 @@ fn stop(bench: &mut dyn Bench, drive: &mut Drive) -> Result<(), Interrupted> {
 }
 
 impl Drive {
-    fn take(&mut self, observation: &Observation) {
-        self.track.push(observation);
-        match observation {
-            Observation::Board(board) => {
-                self.observed.push(observation.clone());
-                self.board_is_armed = matches!(
-                    board.mode,
-                    BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp
-                );
-            }
-            Observation::Tick(tick) => {
-                self.ticks.push(*tick);
-            }
-            Observation::Pose(pose) => {
-                self.observed.push(observation.clone());
-                self.last_pose_ns = pose.receive.0;
-            }
-            _ => {}
-        }
-    }
-
-    /// When the drive was so far, in s of its track.
-    pub(super) fn on_track(&mut self, far: f64) -> f64 {
+    /// When the drive was so far, in s of its readings.
+    pub(super) fn when(&self, far: f64) -> f64 {
         let index = self.progress.partition_point(|(_, now)| *now < far);
         let at = self.progress.get(index).or(self.progress.last());
-        self.track.seconds(at.map_or(0, |(time_ns, _)| *time_ns))
+        at.map_or(0.0, |(time, _)| self.readings.at(*time))
     }
 
     /// Refuses a drive that ended by itself.

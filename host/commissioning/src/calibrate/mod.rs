@@ -71,8 +71,8 @@ fn cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     }
     let stands = floor::ready(bench)?;
     let figure = Figure::find(bench, &stands)?;
-    let mut drive = floor::drive(bench, SECONDS, "cover the markers now", &|time| {
-        figure.at(SLOW * time, SLOW)
+    let drive = floor::drive(bench, SECONDS, "cover the markers now", &|time| {
+        Some(figure.at(SLOW * time, SLOW))
     })?;
     let _ = bench.ask(&Question::begin("uncover-markers", "Uncover the markers."))?;
     let Some(reason) = drive.reason else {
@@ -89,8 +89,10 @@ fn cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         + SLOW * SLOW / (2.0 * config.fence.braking_m_s2)
         + 0.1;
     // The way from the last pose on is that of the motor's pulses.
-    let lost = drive.track.seconds(drive.last_pose_ns);
-    let driven = drive.track.way();
+    let readings = &drive.readings;
+    let lost = readings.poses.last().map(|pose| pose.receive);
+    let lost = lost.map_or(0.0, |lost| readings.at(lost));
+    let driven = readings.way();
     let way = driven.at(f64::INFINITY) - driven.at(lost);
     let found =
         format!("stopped by {reason}, {way:.2} m after the last pose; at most {allowed:.2} m");

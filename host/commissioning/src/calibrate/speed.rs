@@ -4,7 +4,9 @@
 //! speed is raised only after the roll-outs from the one below have shown what the geofence can
 //! count on.
 
-use super::floor::{self, Figure, SLOW, Wanted, round};
+use singletrack_core::Config;
+
+use super::floor::{self, Drive, Figure, SLOW, round};
 use crate::{
     Bench, Finding, Parameter, Plot, PlotKind, PlotLine, Trouble, Verdict,
     finding::{change, failed, keys},
@@ -44,22 +46,20 @@ pub(super) fn speed(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     // P reaches the figure at the higher speed.
     let approach = (figure.approach() + 0.9) / SLOW;
     let seconds = approach + 2.0 * LASTS * RISES as f64;
-    let mut drive = floor::drive(bench, seconds, "faster and slower", &|time| {
-        if time < approach {
-            return figure.at(SLOW * time, SLOW);
-        }
-        let [speed, way] = profile(time - approach);
-        figure.at(SLOW * approach + way, speed)
+    let drive = floor::drive(bench, seconds, "faster and slower", &|time| {
+        let [speed, way] = match time < approach {
+            true => [SLOW, 0.0],
+            false => profile(time - approach),
+        };
+        Some(figure.at(SLOW * time.min(approach) + way, speed))
     })?
     .completed()?;
     let starts: Vec<f64> = (0..2 * RISES)
-        .map(|index| drive.on_track(approach + LASTS * index as f64))
+        .map(|index| drive.when(approach + LASTS * index as f64))
         .collect();
     let config = bench.configuration();
-    let motion = drive.track.motion(0.0);
-    let [_, left] = config.motion_capture.marker_offset_m;
-    let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
-    let pulses = drive.track.esc();
+    let (motion, way) = moved(config, &drive);
+    let pulses = drive.readings.esc();
     let esc = &config.board.esc;
     let edge = f64::from(esc.neutral_us) + f64::from(esc.deadband_us);
     let about = [
@@ -128,17 +128,12 @@ fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
     }
     let mean = |[time, speed, count]: [f64; 3]| [time / count, speed / count];
     let means = sums.into_iter().map(mean).collect();
-    bench.plot(&Plot {
-        name: "speed",
-        title: "Rises of the speed",
-        x: ("time since the reference rose", "s"),
-        y: ("speed", "m/s"),
-        equal: false,
-        lines: vec![
-            PlotLine::new("rear axle", PlotKind::Measured, points),
-            PlotLine::new("mean", PlotKind::Fitted, means),
-        ],
-    });
+    let axes = [("time since the reference rose", "s"), ("speed", "m/s")];
+    let lines = vec![
+        PlotLine::new("rear axle", PlotKind::Measured, points),
+        PlotLine::new("mean", PlotKind::Fitted, means),
+    ];
+    bench.plot(&Plot::new("speed", "Rises of the speed", axes, lines));
 }
 
 fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result<Finding, Trouble> {
@@ -253,14 +248,9 @@ pub(super) fn roll_out(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             change(bench, &[("fence.braking_m_s2", counted.into())])?;
         }
     }
-    bench.plot(&Plot {
-        name: "roll-out",
-        title: "Roll-outs",
-        x: ("time since neutral was asked for", "s"),
-        y: ("travel", "m"),
-        equal: false,
-        lines: vec![PlotLine::new("rear axle", PlotKind::Measured, ways)],
-    });
+    let axes = [("time since neutral was asked for", "s"), ("travel", "m")];
+    let lines = vec![PlotLine::new("rear axle", PlotKind::Measured, ways)];
+    bench.plot(&Plot::new("roll-out", "Roll-outs", axes, lines));
     let mean = |speed: f64| {
         let stops = stops.iter().filter(|(other, _)| *other == speed);
         let of: Vec<f64> = stops.map(|(_, braking)| *braking).collect();
@@ -302,6 +292,14 @@ fn counted(bench: &dyn Bench, stops: &[(f64, f64)]) -> f64 {
     ((100.0 * COUNTED * weakest).floor() / 100.0).clamp(0.05, most)
 }
 
+/// The motion of the body in a drive, and the way of the rear axle, m.
+fn moved(config: &Config, drive: &Drive) -> (Motion, Vec<f64>) {
+    let motion = drive.readings.motion(0.0);
+    let [_, left] = config.motion_capture.marker_offset_m;
+    let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
+    (motion, way)
+}
+
 /// Drives along a circle with this speed and lets the car roll out. Gives the deceleration,
 /// m/s²; none if there is no room for it.
 fn rolled(
@@ -322,22 +320,16 @@ fn rolled(
     let rolls_from = speed / RISES_WITH + KEEPS.0 / speed + KEEPS.1;
     let seconds = rolls_from + 0.5 + speed / LEAST;
     let text = format!("a roll-out from {speed:.1} m/s");
-    let mut drive = floor::drive(bench, seconds, &text, &|time| {
+    let drive = floor::drive(bench, seconds, &text, &|time| {
         let now = (RISES_WITH * time).min(speed);
         let rising = now * now / (2.0 * RISES_WITH);
         let way = rising + now * (time - now / RISES_WITH);
-        Wanted {
-            rolls: time >= rolls_from,
-            ..figure.at(way, now)
-        }
+        (time < rolls_from).then(|| figure.at(way, now))
     })?
     .completed()?;
-    let config = bench.configuration();
-    let [_, left] = config.motion_capture.marker_offset_m;
     // The steady speed before it counts as well.
-    let begin = drive.on_track(rolls_from) - 0.3;
-    let motion = drive.track.motion(0.0);
-    let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
+    let begin = drive.when(rolls_from) - 0.3;
+    let (motion, way) = moved(bench.configuration(), &drive);
     let first = motion.time.partition_point(|time| *time < begin);
     let ends = motion.time.partition_point(|time| *time < begin + SHOWN);
     let shown = first..ends.max(first);

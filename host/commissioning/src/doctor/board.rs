@@ -3,10 +3,11 @@
 use singletrack_pilot::Reason;
 use singletrack_protocol::{ResetCause, Status};
 
-use super::gather::{Checks, PRESS_RESET, Readings, for_time, reset_if_stopped, seconds, until};
+use super::gather::{Checks, PRESS_RESET};
 use crate::{
     Answer, Answers, Bench, Finding, Interrupted, Question, Trouble,
     Verdict::{Failed, Good, Warning},
+    observed::Readings,
 };
 
 /// A reset that takes longer leaves the ESC without pulses for too long: some keep their last
@@ -25,22 +26,16 @@ const VOLTAGE_SHARE: f64 = 0.05;
 
 /// Whether the board answers, with which reset cause, and how long a reset takes.
 pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let mut checks = Checks::default();
-    let readings = for_time(bench, 1.5, "board")?;
+    let mut checks = Checks::begin(bench);
+    let readings = checks.for_time(1.5, "board")?;
     if let Some((found, fix)) = refusal(&readings) {
         let expected = "the board's image and configuration are accepted";
-        checks.add(Failed, found, expected, fix);
-        return checks.finding(bench);
+        return Err(checks.fail(found, expected, fix));
     }
     let Some(status) = readings.status() else {
+        let expected = "telemetry 100 times a second";
         let fix = "connect the board, look at serial.port, and flash the image: cargo uno";
-        checks.add(
-            Failed,
-            "the board is silent",
-            "telemetry 100 times a second",
-            fix,
-        );
-        return checks.finding(bench);
+        return Err(checks.fail("the board is silent", expected, fix));
     };
     let rate = readings.boards.len() as f64 / readings.duration().max(0.1);
     let found = format!("telemetry {rate:.0} times a second");
@@ -48,8 +43,8 @@ pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     checks.check(rate > 80.0, found, "100", fix);
     check_line(&readings, &mut checks);
     check_reset_cause(status.reset_cause, &mut checks);
-    reset(bench, &mut checks)?;
-    checks.finding(bench)
+    reset(&mut checks)?;
+    checks.finding()
 }
 
 /// Why the daemon does not accept the board, and what to do.
@@ -68,7 +63,7 @@ fn refusal(readings: &Readings) -> Option<(&'static str, &'static str)> {
     }
 }
 
-fn check_line(readings: &Readings, checks: &mut Checks) {
+fn check_line(readings: &Readings, checks: &mut Checks<'_>) {
     let damaged = readings.risen(|status| status.frames_damaged);
     let overrun = readings.risen(|status| status.bytes_overrun);
     let found = format!("{damaged} frames damaged, {overrun} bytes lost");
@@ -76,7 +71,7 @@ fn check_line(readings: &Readings, checks: &mut Checks) {
     checks.check(damaged <= 1 && overrun == 0, found, "none", fix);
 }
 
-fn check_reset_cause(cause: ResetCause, checks: &mut Checks) {
+fn check_reset_cause(cause: ResetCause, checks: &mut Checks<'_>) {
     let found = format!("last reset: {}", cause.name());
     let (verdict, fix) = match cause {
         ResetCause::PowerOn | ResetCause::External => (Good, ""),
@@ -94,11 +89,11 @@ fn check_reset_cause(cause: ResetCause, checks: &mut Checks) {
 }
 
 /// The time without telemetry after the button.
-fn reset(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if checks.skips(bench, "reset", "press-reset", PRESS_RESET)? {
+fn reset(checks: &mut Checks<'_>) -> Result<(), Interrupted> {
+    if checks.skips("reset", "press-reset", PRESS_RESET)? {
         return Ok(());
     }
-    let (readings, is_done) = until(bench, |readings| {
+    let (readings, is_done) = checks.until(|readings| {
         let silence = readings.longest_silence();
         let since = silent_since(readings);
         let is_back = silence > 0.2 && since < 0.1 && readings.links.last() != Some(&false);
@@ -115,12 +110,8 @@ fn reset(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> 
         checks.add(Failed, "no reset was seen", expected, fix);
     } else {
         let fix = "the bootloader waits: the ESC has no pulses meanwhile; see docs/uno.md";
-        checks.add(
-            Warning.unless(silence <= SLOW_RESET_S),
-            found,
-            expected,
-            fix,
-        );
+        let verdict = Warning.unless(silence <= SLOW_RESET_S);
+        checks.add(verdict, found, expected, fix);
     }
     Ok(())
 }
@@ -132,53 +123,38 @@ fn silent_since(readings: &Readings) -> f64 {
     };
     let heard = readings.boards.last().map(|board| board.receive);
     let since = heard.or(readings.ticks.first().map(|tick| tick.time));
-    since.map_or(0.0, |since| seconds(since, now.time).max(0.0))
+    since.map_or(0.0, |since| now.time.seconds_since(since).max(0.0))
 }
 
 /// Battery, supply and stop switch.
 pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let mut checks = Checks::default();
-    let config = bench.configuration();
-    let (wanted, minimum) = (
-        config.supervisor.arm_battery_v,
-        config.supervisor.min_battery_v,
-    );
-    let has_switch = config.board.stop_input;
-    let readings = for_time(bench, 1.0, "supply")?;
+    let mut checks = Checks::begin(bench);
+    let readings = checks.for_time(1.0, "supply")?;
     let Some(status) = readings.status() else {
-        let found = "the board is silent";
-        let fix = "see step board";
-        checks.add(Failed, found, "a status five times a second", fix);
-        return checks.finding(bench);
+        let expected = "a status five times a second";
+        return Err(checks.fail("the board is silent", expected, "see step board"));
     };
-    if wanted > 0.0 {
-        battery(bench, &status, [minimum, wanted], &mut checks)?;
+    if checks.config().supervisor.arm_battery_v > 0.0 {
+        battery(&status, &mut checks)?;
     } else {
+        let found = "the battery is not watched";
         let fix = "wire it as in docs/uno.md and set supervisor.arm_battery_v";
-        checks.add(
-            Warning,
-            "the battery is not watched",
-            "a voltage divider on A0",
-            fix,
-        );
+        checks.add(Warning, found, "a voltage divider on A0", fix);
     }
-    if has_switch {
-        stop_switch(bench, &mut checks)?;
+    if checks.config().board.stop_input {
+        stop_switch(&mut checks)?;
     } else {
         let found = "no stop switch is configured";
         let fix = "wire one as in docs/uno.md and set board.stop_input = true";
         checks.add(Warning, found, "a normally-closed switch", fix);
     }
-    supply(bench, &mut checks)?;
-    checks.finding(bench)
+    supply(&mut checks)?;
+    checks.finding()
 }
 
-fn battery(
-    bench: &mut dyn Bench,
-    status: &Status,
-    [minimum, wanted]: [f64; 2],
-    checks: &mut Checks,
-) -> Result<(), Interrupted> {
+fn battery(status: &Status, checks: &mut Checks<'_>) -> Result<(), Interrupted> {
+    let supervisor = &checks.config().supervisor;
+    let (wanted, minimum) = (supervisor.arm_battery_v, supervisor.min_battery_v);
     let volts = f64::from(status.battery_mv) * 1e-3;
     if status.battery_open {
         let found = "nothing is connected to A0";
@@ -186,10 +162,10 @@ fn battery(
         checks.add(Failed, found, "the battery's divider", fix);
         return Ok(());
     }
-    let is_good = volts >= wanted;
+    let found = format!("battery {volts:.2} V");
     let expected = format!("at least {wanted:.1} V to arm");
     let fix = "charge the battery, or set supervisor.arm_battery_v for its cells";
-    checks.check(is_good, format!("battery {volts:.2} V"), expected, fix);
+    checks.check(volts >= wanted, found, expected, fix);
     let voltmeter = Question {
         id: "voltmeter",
         text: "Measure the battery with a voltmeter. Its voltage?".into(),
@@ -198,7 +174,7 @@ fn battery(
             range: [0.0, 60.0],
         },
     };
-    match bench.ask(&voltmeter)? {
+    match checks.asks(voltmeter)? {
         Answer::Number(meter) => {
             let share = (volts - meter).abs() / meter.max(1.0);
             let found = format!("the voltmeter shows {meter:.2} V");
@@ -210,48 +186,44 @@ fn battery(
         _ => checks.skipped("voltmeter"),
     }
     let request = "Press Enter, then unplug the battery. The board stays on USB.";
-    if checks.skips(bench, "unplugged battery", "unplug-battery", request)? {
+    if checks.skips("unplugged battery", "unplug-battery", request)? {
         return Ok(());
     }
     let is_gone =
         |status: &Status| status.battery_open || f64::from(status.battery_mv) * 1e-3 < minimum;
-    let noticed = seen(bench, "battery", is_gone)?;
-    let found = if noticed {
-        "an unplugged battery is noticed"
-    } else {
-        "an unplugged battery is not noticed"
-    };
+    let noticed = seen(checks, "battery", is_gone)?;
+    let not = if noticed { "" } else { "not " };
+    let found = format!("an unplugged battery is {not}noticed");
     let fix = "A0 is fed from somewhere else: wire the divider to the battery's plug";
     checks.check(noticed, found, "noticed", fix);
     let request = "Press Enter, then plug the battery in again.";
-    if bench.ask(&Question::begin("plug-battery", request))? != Answer::Skip {
-        let is_back = seen(bench, "battery", |status| !is_gone(status))?;
+    if checks.asks(Question::begin("plug-battery", request))? != Answer::Skip {
+        let is_back = seen(checks, "battery", |status| !is_gone(status))?;
         let found = "battery plugged in";
         checks.check(is_back, found, "plugged in", "plug it in again");
     }
     Ok(())
 }
 
-fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
+fn stop_switch(checks: &mut Checks<'_>) -> Result<(), Interrupted> {
     let open = "Press Enter, then open the stop switch (press the red button).";
     let close = "Press Enter, then close the stop switch again.";
     for (id, request, is_open, word) in [
         ("open-stop-switch", open, true, "open"),
         ("close-stop-switch", close, false, "closed"),
     ] {
-        if checks.skips(bench, "stop switch", id, request)? {
+        if checks.skips("stop switch", id, request)? {
             return Ok(());
         }
-        let was_seen = seen(bench, "stop switch", |status| {
-            status.stop_input_open == is_open
-        })?;
+        let has_moved = |status: &Status| status.stop_input_open == is_open;
+        let was_seen = seen(checks, "stop switch", has_moved)?;
         let how = if was_seen { "seen" } else { "not seen" };
         let found = format!("stop switch {word}: {how}");
         let fix = "wire the switch as in docs/uno.md: normally closed, between its pin and ground";
         checks.check(was_seen, found, "seen", fix);
     }
     // An open switch stops the board until its reset.
-    if !reset_if_stopped(bench)? {
+    if !checks.reset_if_stopped()? {
         let found = "the board is stopped by the switch";
         let expected = "reset after the check";
         let fix = "press the reset button of the board";
@@ -260,13 +232,13 @@ fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interru
     Ok(())
 }
 
-fn supply(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
+fn supply(checks: &mut Checks<'_>) -> Result<(), Interrupted> {
     let request = "Press Enter, then push the front wheels to the left and to the right by hand, \
                    against the servo, for five seconds. Do not force them.";
-    if checks.skips(bench, "supply under load", "push-wheels", request)? {
+    if checks.skips("supply under load", "push-wheels", request)? {
         return Ok(());
     }
-    let readings = for_time(bench, 5.0, "supply")?;
+    let readings = checks.for_time(5.0, "supply")?;
     let health = readings.health.iter();
     let lowest = health.map(|health| health.status.supply_mv).min();
     let lowest = lowest.unwrap_or(0);
@@ -284,12 +256,12 @@ fn supply(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted>
 
 /// Whether a status with a property comes within the doctor's patience.
 fn seen(
-    bench: &mut dyn Bench,
+    checks: &mut Checks<'_>,
     what: &str,
     property: impl Fn(&Status) -> bool,
 ) -> Result<bool, Interrupted> {
     let mut was_seen = false;
-    until(bench, |readings| {
+    checks.until(|readings| {
         // The first ones may have been on their way before the answer.
         let mut later = readings.health.iter().skip(1);
         was_seen = later.any(|health| property(&health.status));

@@ -4,11 +4,12 @@ use singletrack_control::wrap;
 use singletrack_core::{Config, reasons::Why};
 use singletrack_pilot::Reason;
 
-use super::gather::{Checks, Readings, for_time, motion, put_in_force, seconds, turned, until};
+use super::gather::Checks;
 use crate::{
-    Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine, Trouble,
-    Verdict::{Failed, Warning},
-    fit::{Reading, mean, median, sample_times, stamp_delay, standard_deviation},
+    Bench, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Trouble,
+    Verdict::{Failed, Good, Warning},
+    fit::{Signal, mean, median, stamp_delay, standard_deviation},
+    observed::Readings,
 };
 
 /// Distance from the height of the body at rest to the ends of its band, in m.
@@ -27,36 +28,33 @@ const LATE_S: f64 = 0.005;
 
 /// Rate, gaps, uncertainty and height; then the car is pushed.
 pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let mut checks = Checks::default();
-    let readings = for_time(bench, 5.0, "cameras")?;
+    let mut checks = Checks::begin(bench);
+    let readings = checks.for_time(5.0, "cameras")?;
     if readings.poses.len() < 50 {
         let (count, states) = (readings.poses.len(), states(&readings));
         let found = format!("{count} poses in 5 s; frames without one: {states}");
-        let expected = "100 poses a second";
-        let fix = no_pose(bench.configuration(), &readings);
-        checks.add(Failed, found, expected, fix);
-        return checks.finding(bench);
+        let fix = no_pose(checks.config(), &readings);
+        return Err(checks.fail(found, "100 poses a second", fix));
     }
-    check_stream(bench, &readings, &mut checks);
-    check_push(bench, &mut checks)?;
+    check_stream(&readings, &mut checks);
+    check_push(&mut checks)?;
     if !checks.has_failed()
         && let Some(height) = median(heights(&readings))
     {
         // To the centimetre, so that a repeated doctor changes nothing.
         let round = |value: f64| (value * 100.0).round() / 100.0;
-        let band = [round(height - BAND_M), round(height + BAND_M)];
-        let (low, high) = (band[0], band[1]);
+        let band @ [low, high] = [round(height - BAND_M), round(height + BAND_M)];
         let found = format!("height {height:.3} m: band {low} to {high} m");
         checks.good(found, "the same whenever the car is on the floor");
         let key = "motion_capture.pose.height_m";
         let values = [(key, toml_edit::Value::from_iter(band))];
-        if let Err(refused) = put_in_force(bench, &values)? {
+        if let Err(refused) = checks.put_in_force(&values)? {
             let found = format!("the band is not in force: {refused}");
             let fix = "correct what the daemon refuses, and run this step again";
             checks.add(Failed, found, "in force", fix);
         }
     }
-    checks.finding(bench)
+    checks.finding()
 }
 
 fn heights(readings: &Readings) -> Vec<f64> {
@@ -68,10 +66,9 @@ fn states(readings: &Readings) -> String {
     let mut words = readings.lost.clone();
     words.sort_unstable();
     words.dedup();
-    if words.is_empty() {
-        "none".to_owned()
-    } else {
-        words.join(", ")
+    match words.is_empty() {
+        true => "none".to_owned(),
+        false => words.join(", "),
     }
 }
 
@@ -102,25 +99,26 @@ fn no_pose(config: &Config, readings: &Readings) -> String {
     }
 }
 
-fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
-    let config = bench.configuration();
+fn check_stream(readings: &Readings, checks: &mut Checks<'_>) {
+    let config = checks.config();
+    let fresh = f64::from(config.supervisor.fresh_ms) * 1e-3;
+    let uncertainty_limit = config.watch.max_capture_uncertainty_ms * 1e-3;
+    let error_limit = config.motion_capture.pose.max_mean_error_m / 2.0;
     let rate = readings.poses.len() as f64 / readings.duration().max(1.0);
     let missing = readings.lost.len() as f64 / (readings.lost.len() + readings.poses.len()) as f64;
     let found = format!("{rate:.0} poses a second, {:.1} % missing", 100.0 * missing);
-    if rate >= 80.0 && missing < 0.02 {
-        checks.good(found, "100, below 2 %");
-    } else if rate >= 45.0 {
-        let fix = "set the cameras to 100 Hz, and look for markers that are hidden at times";
-        checks.add(Warning, found, "100, below 2 %", fix);
-    } else {
-        checks.add(Failed, found, "100, below 2 %", "set the cameras to 100 Hz");
-    }
+    let hidden = "set the cameras to 100 Hz, and look for markers that are hidden at times";
+    let (verdict, fix) = match rate {
+        80.0.. if missing < 0.02 => (Good, ""),
+        45.0.. => (Warning, hidden),
+        _ => (Failed, "set the cameras to 100 Hz"),
+    };
+    checks.add(verdict, found, "100, below 2 %", fix);
     let poses = readings.poses.iter();
     let ages = poses
         .clone()
-        .map(|pose| seconds(pose.capture, pose.receive));
+        .map(|pose| pose.receive.seconds_since(pose.capture));
     let age = mean(ages).unwrap_or(0.0);
-    let fresh = f64::from(config.supervisor.fresh_ms) * 1e-3;
     let least = (fresh - 1.0 / rate.max(1.0)).max(0.0);
     let found = format!("poses are {:.0} ms old when they arrive", 1e3 * age);
     let fix = "lower the latency of cameras, their program and network; beyond a second the server's \
@@ -129,11 +127,11 @@ fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
     checks.check(age < least, found, expected, fix);
     let uncertainty = poses.clone().map(|pose| pose.uncertainty);
     let uncertainty = uncertainty.fold(0.0, f64::max);
-    let limit = config.watch.max_capture_uncertainty_ms * 1e-3;
-    let is_good = uncertainty < limit;
+    let is_good = uncertainty < uncertainty_limit;
     let found = format!("mid-exposure known to {:.2} ms", 1e3 * uncertainty);
+    let expected = format!("below {:.0} ms", 1e3 * uncertainty_limit);
     let fix = "use a server of NatNet 3.0 or later on a wired network";
-    checks.check(is_good, found, format!("below {:.0} ms", 1e3 * limit), fix);
+    checks.check(is_good, found, expected, fix);
     let error = mean(poses.clone().map(|pose| pose.mean_error)).unwrap_or(0.0);
     let noise = |axis: usize| {
         let values = poses.clone().map(|pose| pose.position[axis]);
@@ -141,19 +139,18 @@ fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
     };
     let (error_mm, noise_mm) = (1e3 * error, 1e3 * noise(0).max(noise(1)));
     let found = format!("marker error {error_mm:.2} mm, noise {noise_mm:.2} mm");
-    let is_good = error < config.motion_capture.pose.max_mean_error_m / 2.0;
     let expected = "half of motion_capture.pose.max_mean_error_m";
     let fix = "calibrate the cameras, and define the body again with the markers as they are now";
-    checks.add(Warning.unless(is_good), found, expected, fix);
+    checks.add(Warning.unless(error < error_limit), found, expected, fix);
 }
 
 /// A push forward: body and wheels move together.
-fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
+fn check_push(checks: &mut Checks<'_>) -> Result<(), Interrupted> {
     let request = "Press Enter, then roll the car forward by half a metre, wheels on the floor.";
-    if checks.skips(bench, "push", "push-forward", request)? {
+    if checks.skips("push", "push-forward", request)? {
         return Ok(());
     }
-    let (readings, is_done) = motion(bench, |readings| {
+    let (readings, is_done) = checks.motion(|readings| {
         // A body that is not the car's does not move, and the wheels still do.
         let moved = readings.moved().max(rolled(readings));
         (format!("{moved:.2} m"), moved / ENOUGH_M)
@@ -168,7 +165,7 @@ fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrup
         let found = format!("{found}: the body is not on this car");
         let fix = format!(
             "motion_capture.rigid_body = {:?} is another body: compare with the server's list",
-            bench.configuration().motion_capture.rigid_body
+            checks.config().motion_capture.rigid_body
         );
         checks.add(Failed, found, expected, fix);
         return Ok(());
@@ -196,11 +193,12 @@ fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrup
     if let Some(angle) = heading(&readings) {
         let degrees = angle.to_degrees();
         let found = format!("it moved at {degrees:.0} degrees to its x axis");
-        if angle.abs() < 0.5 {
-            checks.good(found, "about 0");
-        } else {
-            let found = format!("{found}; step geometry measures it");
-            checks.good(found, "about 0, or any: it is measured");
+        match angle.abs() < 0.5 {
+            true => checks.good(found, "about 0"),
+            false => checks.good(
+                format!("{found}; step geometry measures it"),
+                "about 0, or any: it is measured",
+            ),
         }
     }
     Ok(())
@@ -208,11 +206,12 @@ fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrup
 
 /// The way of the wheels, by the believed distance of a pulse, in m.
 fn rolled(readings: &Readings) -> f64 {
-    readings
-        .boards
-        .windows(2)
-        .map(|pair| pair[1].motor_speed.abs() * seconds(pair[0].time, pair[1].time).clamp(0.0, 0.1))
-        .sum()
+    let pairs = readings.boards.windows(2);
+    let way = pairs.map(|pair| {
+        let passed = pair[1].time.seconds_since(pair[0].time).clamp(0.0, 0.1);
+        pair[1].motor_speed.abs() * passed
+    });
+    way.sum()
 }
 
 /// The direction of the body's movement, from its x axis, in rad.
@@ -225,51 +224,26 @@ fn heading(readings: &Readings) -> Option<f64> {
 
 /// The stamps of the cameras against the gyro, in a twist.
 pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let mut checks = Checks::default();
+    let mut checks = Checks::begin(bench);
     let request = "Press Enter, then twist the car to and fro, 30 degrees to either side, about \
                    once a second, flat on the floor, for 12 seconds.";
-    if checks.skips(bench, "twist", "twist", request)? {
-        return checks.finding(bench);
-    }
-    let (readings, is_done) = until(bench, |readings| {
+    checks.needs("twist", "twist", request)?;
+    let (readings, is_done) = checks.until(|readings| {
         let gyro = readings.gyro();
-        let begin = gyro.iter().find(|(_, rate)| rate[2].abs() > TWIST_RAD_S);
-        let begin = begin.map(|(time, _)| *time);
-        let now = gyro.last().map_or(0.0, |(time, _)| *time);
-        let rate = gyro.last().map_or(0.0, |(_, rate)| rate[2]);
-        let done = begin.map_or(0.0, |begin| (now - begin) / TWIST_S);
+        let [now, rate] = gyro.last().copied().unwrap_or_default();
+        let begin = gyro.iter().find(|[_, rate]| rate.abs() > TWIST_RAD_S);
+        let done = begin.map_or(0.0, |[begin, _]| (now - begin) / TWIST_S);
         (format!("{:+4.0} degrees/s", rate.to_degrees()), done)
     })?;
-    let again = "twist the car as asked, in view of the cameras, and run this step again";
-    let Some(begin) = readings.ticks.first().map(|tick| tick.time) else {
-        return checks.finding(bench);
-    };
-    let yaw = turned(&readings.poses);
-    let angles: Vec<(f64, f64)> = readings
-        .poses
-        .iter()
-        .zip(yaw)
-        .map(|(pose, yaw)| (seconds(begin, pose.capture), yaw))
-        .collect();
-    let (read, rates): (Vec<Reading>, Vec<f64>) = readings
-        .inertial()
-        .map(|inertial| {
-            let reading = Reading {
-                time: seconds(begin, inertial.time),
-                board_us: inertial.board_us,
-            };
-            (reading, inertial.angular_velocity[2])
-        })
-        .unzip();
-    let samples = sample_times(&read);
-    let velocities: Vec<(f64, f64)> = samples.times.into_iter().zip(rates).collect();
+    let angles = readings.yaws();
+    let (Signal(velocities), systematic) = readings.rate();
     let uncertainty = median(readings.poses.iter().map(|pose| pose.uncertainty)).unwrap_or(0.0);
-    let delay = stamp_delay(&angles, &velocities, samples.systematic.hypot(uncertainty));
+    let delay = stamp_delay(&angles, &velocities, systematic.hypot(uncertainty));
     let Some(delay) = delay.filter(|_| is_done) else {
-        checks.add(Failed, "the car was not twisted", "10 s to and fro", again);
-        return checks.finding(bench);
+        let again = "twist the car as asked, in view of the cameras, and run this step again";
+        return Err(checks.fail("the car was not twisted", "10 s to and fro", again));
     };
-    bench.plot(&plot(&angles, &velocities));
+    checks.plot(&plot(&angles, &velocities));
     let scale = delay.scale.value;
     if scale < 0.0 {
         let found = "gyro and cameras turn in opposite directions";
@@ -282,56 +256,45 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         checks.check((scale - 1.0).abs() < 0.1, found, "0.9 to 1.1", fix);
     }
     if !checks.has_failed() {
-        judge_delay(bench, &mut checks, delay.late.scaled(1e3));
+        judge_delay(&mut checks, delay.late.scaled(1e3));
     }
-    checks.finding(bench)
+    checks.finding()
 }
 
 /// The angular velocities of both, in the middle of the twist.
-fn plot(angles: &[(f64, f64)], velocities: &[(f64, f64)]) -> Plot {
+fn plot(angles: &[[f64; 2]], velocities: &[[f64; 2]]) -> Plot {
     const SHOWN_S: f64 = 3.0;
-    let middle = angles.get(angles.len() / 2).map_or(0.0, |(time, _)| *time);
-    let is_shown = |time: f64| (time - middle).abs() < SHOWN_S / 2.0;
-    let cameras = angles
-        .windows(3)
-        .filter_map(|around| {
-            let (first, last) = (around.first()?, around.last()?);
-            let time = f64::midpoint(first.0, last.0);
-            let rate = (last.1 - first.1) / (last.0 - first.0);
-            is_shown(time).then_some([time, rate])
-        })
-        .collect();
-    let gyro = velocities.iter().filter(|(time, _)| is_shown(*time));
-    let gyro = gyro.map(|(time, rate)| [*time, *rate]).collect();
+    let middle = angles.get(angles.len() / 2).map_or(0.0, |[time, _]| *time);
+    let shown = |rates: Vec<[f64; 2]>| {
+        let is_shown = |[time, _]: &[f64; 2]| (time - middle).abs() < SHOWN_S / 2.0;
+        rates.into_iter().filter(is_shown).collect()
+    };
+    let cameras = angles.windows(3).map(|around| {
+        let ([begin, from], [end, to]) = (around[0], around[2]);
+        [f64::midpoint(begin, end), (to - from) / (end - begin)]
+    });
     let title = "A twist by hand, seen by gyro and cameras";
     let lines = vec![
-        PlotLine::new("cameras", PlotKind::Measured, cameras),
-        PlotLine::new("gyro", PlotKind::Other, gyro),
+        PlotLine::new("cameras", PlotKind::Measured, shown(cameras.collect())),
+        PlotLine::new("gyro", PlotKind::Other, shown(velocities.to_vec())),
     ];
-    Plot::over_time("latency", title, ("yaw rate", "rad/s"), lines)
+    Plot::new("latency", title, Plot::YAW_RATE, lines)
 }
 
 /// `late` is in ms, beyond the offset that is in force.
-fn judge_delay(bench: &dyn Bench, checks: &mut Checks, late: crate::Interval) {
-    let whole = late.shifted(bench.configuration().motion_capture.timing.stamp_offset_ms);
+fn judge_delay(checks: &mut Checks<'_>, late: Interval) {
+    let whole = late.shifted(checks.config().motion_capture.timing.stamp_offset_ms);
     // Rounded to a tenth; an offset that is already in force is not written again.
     let value = (whole.value * 10.0).round() / 10.0;
     let latency = Parameter::new("camera-latency", "ms", whole);
     checks.measured(latency.written("motion_capture.timing.stamp_offset_ms", value));
-    let found = format!(
-        "the cameras' stamps are {:.1} ms {}",
-        late.value.abs(),
-        if late.value < 0.0 {
-            "too early"
-        } else {
-            "too late"
-        }
-    );
+    let off = late.value.abs();
+    let how = if late.value < 0.0 { "early" } else { "late" };
+    let found = format!("the cameras' stamps are {off:.1} ms too {how}");
     let expected = format!("within {:.0} ms", 1e3 * LATE_S);
-    if late.value.abs() <= 1e3 * LATE_S {
-        checks.good(found, expected);
-    } else {
-        checks.add(Warning, format!("{found}: corrected"), expected, "");
+    match off <= 1e3 * LATE_S {
+        true => checks.good(found, expected),
+        false => checks.add(Warning, format!("{found}: corrected"), expected, ""),
     }
 }
 
@@ -344,8 +307,8 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     /// The longest drive that is judged, in s.
     const LONGEST_S: f64 = 60.0;
 
-    let mut checks = Checks::default();
-    let (readings, _) = until(bench, |readings| {
+    let mut checks = Checks::begin(bench);
+    let (readings, _) = checks.until(|readings| {
         let reason = readings.ticks.last().and_then(|tick| tick.preflight);
         let is_over = reason.is_none() || readings.duration() > SETTLED_S;
         let text = reason.map_or("", |reason| reason.name());
@@ -355,28 +318,25 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let tick = readings.ticks.last();
     match tick.and_then(|tick| tick.preflight) {
         None => checks.good("the car can be armed", "no refusal"),
-        Some(reason @ (Reason::RealTimeUnknown | Reason::RealTimeRefused)) => checks.add(
-            Failed,
-            format!("arming would be refused: {reason}"),
-            "no refusal",
-            "grant real time: LimitRTPRIO= and LimitMEMLOCK= of the service, see docs/odroid.md",
-        ),
+        Some(reason @ (Reason::RealTimeUnknown | Reason::RealTimeRefused)) => {
+            let found = format!("arming would be refused: {reason}");
+            let fix = "grant real time: LimitRTPRIO= and LimitMEMLOCK= of the service, see \
+                       docs/odroid.md";
+            checks.add(Failed, found, "no refusal", fix);
+        }
         Some(reason) => {
             let why = Why::of_word("host", reason.name());
             let found = format!("arming would be refused: {}", why.text);
             checks.add(Warning, found, "no refusal", why.advice.unwrap_or_default());
         }
     }
-    let stand = tick
-        .and_then(|tick| tick.pose)
-        .map(|([x_m, y_m], yaw_rad)| Stand { x_m, y_m, yaw_rad });
-    match judge_reference(bench.configuration(), stand, Some(LONGEST_S)) {
-        Err(error) => checks.add(
-            Failed,
-            format!("the configuration is invalid: {error}"),
-            "valid",
-            "correct it",
-        ),
+    let stand = tick.and_then(|tick| tick.pose);
+    let stand = stand.map(|([x_m, y_m], yaw_rad)| Stand { x_m, y_m, yaw_rad });
+    match judge_reference(checks.config(), stand, Some(LONGEST_S)) {
+        Err(error) => {
+            let found = format!("the configuration is invalid: {error}");
+            checks.add(Failed, found, "valid", "correct it");
+        }
         Ok(judgement) => {
             for finding in &judgement.findings {
                 let what = &finding.what;
@@ -392,5 +352,5 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             }
         }
     }
-    checks.finding(bench)
+    checks.finding()
 }

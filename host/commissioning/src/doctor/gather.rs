@@ -2,25 +2,13 @@
 //! step into one finding.
 
 use singletrack_control::{Time, wrap};
+use singletrack_core::Config;
 use singletrack_protocol::{BoardMode, Status, StopCause};
-use singletrack_record::StatusRecord;
 
 use crate::{
-    Answer, Bench, BoardReading, Finding, Inertial, Interrupted, Observation, Parameter,
-    PoseReading, Question, Refused, TickReading, Trouble, Verdict, finding::keys,
+    Answer, Bench, Finding, Inertial, Interrupted, Parameter, Plot, PoseReading, Question, Refused,
+    Trouble, Verdict, finding::keys, observed::Readings,
 };
-
-/// Observations of a time, each kind in the order of its arrival.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Readings {
-    pub(super) boards: Vec<BoardReading>,
-    pub(super) health: Vec<StatusRecord>,
-    pub(super) poses: Vec<PoseReading>,
-    /// The states of frames without a pose.
-    pub(super) lost: Vec<&'static str>,
-    pub(super) ticks: Vec<TickReading>,
-    pub(super) links: Vec<bool>,
-}
 
 /// Angular velocity below which a gyro at rest stays, in rad/s: bias and noise.
 const STILL_RAD_S: f64 = 0.08;
@@ -33,36 +21,21 @@ const STILL_S: f64 = 0.8;
 const PATIENCE_S: f64 = 90.0;
 
 impl Readings {
-    fn take(&mut self, observed: &mut Vec<Observation>) {
-        for observation in observed.drain(..) {
-            match observation {
-                Observation::Board(reading) => self.boards.push(reading),
-                Observation::Health(health) => self.health.push(health),
-                Observation::Pose(pose) => self.poses.push(pose),
-                Observation::NoPose { state, .. } => self.lost.push(state),
-                Observation::Tick(tick) => self.ticks.push(tick),
-                Observation::Link(ready) => self.links.push(ready),
-            }
-        }
-    }
-
     /// Time from the first tick to the last, in s.
     pub(super) fn duration(&self) -> f64 {
         match (self.ticks.first(), self.ticks.last()) {
-            (Some(first), Some(last)) => seconds(first.time, last.time),
+            (Some(first), Some(last)) => last.time.seconds_since(first.time),
             _ => 0.0,
         }
     }
 
     /// Whether IMU and cameras have seen no movement for [`STILL_S`].
     fn is_still(&self) -> bool {
-        let Some(now) = self.ticks.last().map(|tick| tick.time) else {
+        let now = self.ticks.last().filter(|_| self.duration() >= STILL_S);
+        let Some(now) = now.map(|tick| tick.time) else {
             return false;
         };
-        if self.duration() < STILL_S {
-            return false;
-        }
-        let is_recent = |time| seconds(time, now) < STILL_S;
+        let is_recent = |time: Time| now.seconds_since(time) < STILL_S;
         let turns = self
             .inertial()
             .rev()
@@ -101,11 +74,6 @@ impl Readings {
         }
     }
 
-    /// The samples of the IMU.
-    pub(super) fn inertial(&self) -> impl DoubleEndedIterator<Item = Inertial> {
-        self.boards.iter().filter_map(|board| board.inertial)
-    }
-
     /// The distance of the body from where it was, in m.
     pub(super) fn moved(&self) -> f64 {
         match (self.poses.first(), self.poses.last()) {
@@ -114,125 +82,32 @@ impl Readings {
         }
     }
 
-    /// Its angular velocities, with their times in s from the first tick.
-    pub(super) fn gyro(&self) -> Vec<(f64, [f64; 3])> {
-        let Some(first) = self.ticks.first() else {
-            return Vec::new();
-        };
-        self.inertial()
-            .map(|sample| (seconds(first.time, sample.time), sample.angular_velocity))
-            .collect()
+    /// Yaw rates, each with the time in s at which the board read it.
+    pub(super) fn gyro(&self) -> Vec<[f64; 2]> {
+        let rate = |sample: Inertial| [self.at(sample.time), sample.angular_velocity[2]];
+        self.inertial().map(rate).collect()
     }
 
     /// The longest time without a telemetry record that ended with one, in s. It may have begun
     /// before the first reading: a quick hand is faster than the terminal.
     pub(super) fn longest_silence(&self) -> f64 {
-        let mut before = self.ticks.first().map(|tick| tick.time);
-        let mut longest = 0.0_f64;
-        for board in &self.boards {
-            let silence = before.map_or(0.0, |before| seconds(before, board.receive));
-            longest = longest.max(silence);
-            before = Some(board.receive);
-        }
-        longest
+        let begin = self.ticks.first().map(|tick| tick.time);
+        let heard = self.boards.iter().map(|board| board.receive);
+        let heard: Vec<Time> = begin.into_iter().chain(heard).collect();
+        let silences = heard.windows(2);
+        silences
+            .map(|pair| pair[1].seconds_since(pair[0]))
+            .fold(0.0, f64::max)
     }
-}
-
-/// Gathers readings for a time.
-pub(super) fn for_time(
-    bench: &mut dyn Bench,
-    for_s: f64,
-    what: &str,
-) -> Result<Readings, Interrupted> {
-    until(bench, |readings| {
-        let done = readings.duration() / for_s;
-        (format!("{what}: {:.0} s", readings.duration()), done)
-    })
-    .map(|(readings, _)| readings)
-}
-
-/// Gathers readings until `progress`, which also gives a text to show, reaches 1. The flag is
-/// false if that took longer than [`PATIENCE_S`].
-pub(super) fn until(
-    bench: &mut dyn Bench,
-    mut progress: impl FnMut(&Readings) -> (String, f64),
-) -> Result<(Readings, bool), Interrupted> {
-    let mut readings = Readings::default();
-    let mut observed = Vec::new();
-    loop {
-        bench.wait(&mut observed)?;
-        readings.take(&mut observed);
-        let (text, done) = progress(&readings);
-        bench.show(&text, done);
-        if done >= 1.0 {
-            return Ok((readings, true));
-        }
-        if readings.duration() > PATIENCE_S {
-            return Ok((readings, false));
-        }
-    }
-}
-
-/// Gathers readings while a hand moves the car: until `progress` has reached 1 and the car
-/// stands again. The flag is as in [`until`].
-pub(super) fn motion(
-    bench: &mut dyn Bench,
-    mut progress: impl FnMut(&Readings) -> (String, f64),
-) -> Result<(Readings, bool), Interrupted> {
-    let mut reached = false;
-    until(bench, |readings| {
-        let (text, done) = progress(readings);
-        reached |= done >= 1.0;
-        match (reached, readings.is_still()) {
-            (true, true) => (text, 1.0),
-            _ => (text, done.min(0.99)),
-        }
-    })
 }
 
 /// The request to press the reset button, right after the answer.
 pub(super) const PRESS_RESET: &str = "Press Enter, then press the reset button of the board once.";
 
-/// Asks the operator to reset a board that is latched. Returns whether it is free now.
-pub(super) fn reset_if_stopped(bench: &mut dyn Bench) -> Result<bool, Interrupted> {
-    /// The board holds neutral for two seconds after a reset, and is configured again.
-    const SETTLED_S: f64 = 3.0;
-    let mode = |readings: &Readings| readings.boards.last().map(|board| board.mode);
-    let readings = for_time(bench, 0.3, "board")?;
-    if mode(&readings) != Some(BoardMode::EmergencyStopped) {
-        return Ok(true);
-    }
-    if bench.ask(&Question::begin("press-reset", PRESS_RESET))? == Answer::Skip {
-        return Ok(false);
-    }
-    // Nothing but a reset ends an emergency stop; the silence of the reset itself may have begun
-    // before the first reading.
-    let (_, is_reset) = until(bench, |readings| {
-        let mode = mode(readings);
-        let is_reset = mode.is_some_and(|mode| mode != BoardMode::EmergencyStopped);
-        ("reset".to_owned(), f64::from(u8::from(is_reset)))
-    })?;
-    for_time(bench, SETTLED_S, "the board starts")?;
-    Ok(is_reset)
-}
-
-/// The angle turned by the body so far, unwrapped, in rad.
-pub(super) fn turned(poses: &[PoseReading]) -> Vec<f64> {
-    let mut yaw = 0.0;
-    let mut before: Option<f64> = None;
-    poses
-        .iter()
-        .map(|pose| {
-            yaw += before.map_or(0.0, |before| wrap(pose.yaw - before));
-            before = Some(pose.yaw);
-            yaw
-        })
-        .collect()
-}
-
-/// Time from one moment to another, in s; negative if the second is the earlier one.
-pub(super) fn seconds(from: Time, to: Time) -> f64 {
-    to.0.wrapping_sub(from.0).cast_signed() as f64 * 1e-9
+/// The angle turned by the body so far, in rad.
+pub(super) fn turned(poses: &[PoseReading]) -> f64 {
+    let steps = poses.windows(2);
+    steps.map(|pair| wrap(pair[1].yaw - pair[0].yaw)).sum()
 }
 
 pub(super) fn norm(vector: [f64; 3]) -> f64 {
@@ -244,9 +119,9 @@ pub(super) fn distance(from: [f64; 3], to: [f64; 3]) -> f64 {
     (to[0] - from[0]).hypot(to[1] - from[1])
 }
 
-/// The checks of a step.
-#[derive(Debug, Default)]
-pub(super) struct Checks {
+/// A step of the doctor: gathers readings, and keeps what its checks find.
+pub(super) struct Checks<'a> {
+    bench: &'a mut dyn Bench,
     verdict: Option<Verdict>,
     found: Vec<String>,
     expected: Vec<String>,
@@ -254,7 +129,141 @@ pub(super) struct Checks {
     parameters: Vec<Parameter>,
 }
 
-impl Checks {
+impl<'a> Checks<'a> {
+    pub(super) fn begin(bench: &'a mut dyn Bench) -> Self {
+        Self {
+            bench,
+            verdict: None,
+            found: Vec::new(),
+            expected: Vec::new(),
+            fixes: Vec::new(),
+            parameters: Vec::new(),
+        }
+    }
+
+    /// The configuration in force.
+    pub(super) fn config(&self) -> &Config {
+        self.bench.configuration()
+    }
+
+    /// Gathers readings for a time.
+    pub(super) fn for_time(&mut self, for_s: f64, what: &str) -> Result<Readings, Interrupted> {
+        let (readings, _) = self.until(|readings| {
+            let done = readings.duration() / for_s;
+            (format!("{what}: {:.0} s", readings.duration()), done)
+        })?;
+        Ok(readings)
+    }
+
+    /// Gathers readings until `progress`, which also gives a text to show, reaches 1. The flag is
+    /// false if that took longer than [`PATIENCE_S`].
+    pub(super) fn until(
+        &mut self,
+        mut progress: impl FnMut(&Readings) -> (String, f64),
+    ) -> Result<(Readings, bool), Interrupted> {
+        let mut readings = Readings::default();
+        let mut observed = Vec::new();
+        loop {
+            self.bench.wait(&mut observed)?;
+            readings.take(&mut observed);
+            let (text, done) = progress(&readings);
+            self.bench.show(&text, done);
+            if done >= 1.0 || readings.duration() > PATIENCE_S {
+                return Ok((readings, done >= 1.0));
+            }
+        }
+    }
+
+    /// Gathers readings while a hand moves the car: until `progress` has reached 1 and the car
+    /// stands again. The flag is as in [`Self::until`].
+    pub(super) fn motion(
+        &mut self,
+        progress: impl Fn(&Readings) -> (String, f64),
+    ) -> Result<(Readings, bool), Interrupted> {
+        let mut reached = false;
+        self.until(|readings| {
+            let (text, done) = progress(readings);
+            reached |= done >= 1.0;
+            match reached && readings.is_still() {
+                true => (text, 1.0),
+                false => (text, done.min(0.99)),
+            }
+        })
+    }
+
+    /// Asks the operator to reset a board that is latched. Returns whether it is free now.
+    pub(super) fn reset_if_stopped(&mut self) -> Result<bool, Interrupted> {
+        /// The board holds neutral for two seconds after a reset, and is configured again.
+        const SETTLED_S: f64 = 3.0;
+        let mode = |readings: &Readings| readings.boards.last().map(|board| board.mode);
+        let readings = self.for_time(0.3, "board")?;
+        if mode(&readings) != Some(BoardMode::EmergencyStopped) {
+            return Ok(true);
+        }
+        if self.asks(Question::begin("press-reset", PRESS_RESET))? == Answer::Skip {
+            return Ok(false);
+        }
+        // Nothing but a reset ends an emergency stop; the silence of the reset itself may have begun
+        // before the first reading.
+        let (_, is_reset) = self.until(|readings| {
+            let mode = mode(readings);
+            let is_reset = mode.is_some_and(|mode| mode != BoardMode::EmergencyStopped);
+            ("reset".to_owned(), f64::from(u8::from(is_reset)))
+        })?;
+        self.for_time(SETTLED_S, "the board starts")?;
+        Ok(is_reset)
+    }
+
+    /// Asks the operator.
+    pub(super) fn asks(&mut self, question: Question) -> Result<Answer, Interrupted> {
+        self.bench.ask(&question)
+    }
+
+    /// Asks for an action that the operator begins right after the answer. Returns whether it was
+    /// skipped.
+    pub(super) fn skips(
+        &mut self,
+        what: &str,
+        id: &'static str,
+        request: &'static str,
+    ) -> Result<bool, Interrupted> {
+        let is_skipped = self.asks(Question::begin(id, request))? == Answer::Skip;
+        if is_skipped {
+            self.skipped(what);
+        }
+        Ok(is_skipped)
+    }
+
+    /// Asks for an action without which the step ends.
+    pub(super) fn needs(
+        &mut self,
+        what: &str,
+        id: &'static str,
+        request: &'static str,
+    ) -> Result<(), Trouble> {
+        match self.skips(what, id, request)? {
+            true => Err(self.ends()),
+            false => Ok(()),
+        }
+    }
+
+    /// Takes a plot for the page.
+    pub(super) fn plot(&mut self, plot: &Plot) {
+        self.bench.plot(plot);
+    }
+
+    /// Puts values in force. A stopped board accepts no configuration: it is reset first.
+    pub(super) fn put_in_force(
+        &mut self,
+        values: &[(&str, toml_edit::Value)],
+    ) -> Result<Result<(), Refused>, Interrupted> {
+        if !self.reset_if_stopped()? {
+            let reason = "the board is stopped: it accepts no configuration before its reset";
+            return Ok(Err(Refused(reason.to_owned())));
+        }
+        Ok(self.bench.change(values))
+    }
+
     /// A check that passed.
     pub(super) fn good(&mut self, found: impl Into<String>, expected: impl Into<String>) {
         self.add(Verdict::Good, found, expected, "");
@@ -263,22 +272,6 @@ impl Checks {
     /// A check that the operator skipped.
     pub(super) fn skipped(&mut self, what: &str) {
         self.add(Verdict::Skipped, format!("{what}: skipped"), "", "");
-    }
-
-    /// Asks for an action that the operator begins right after the answer. Returns whether it was
-    /// skipped.
-    pub(super) fn skips(
-        &mut self,
-        bench: &mut dyn Bench,
-        what: &str,
-        id: &'static str,
-        request: &'static str,
-    ) -> Result<bool, Interrupted> {
-        let is_skipped = bench.ask(&Question::begin(id, request))? == Answer::Skip;
-        if is_skipped {
-            self.skipped(what);
-        }
-        Ok(is_skipped)
     }
 
     /// A check that passed or failed.
@@ -290,6 +283,17 @@ impl Checks {
         fix: impl Into<String>,
     ) {
         self.add(Verdict::Failed.unless(is_good), found, expected, fix);
+    }
+
+    /// A failed check that ends the step.
+    pub(super) fn fail(
+        &mut self,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        fix: impl Into<String>,
+    ) -> Trouble {
+        self.add(Verdict::Failed, found, expected, fix);
+        self.ends()
     }
 
     /// The board has latched, because it mistook wheels that a hand rolled for a running motor.
@@ -339,17 +343,26 @@ impl Checks {
         }
     }
 
+    /// The early end of the step.
+    pub(super) fn ends(&mut self) -> Trouble {
+        match self.finding() {
+            Ok(finding) => Trouble::Found(finding.into()),
+            Err(trouble) => trouble,
+        }
+    }
+
     /// The finding of a step. Values that were measured are put into the configuration, unless
     /// the step failed.
     ///
     /// # Errors
     ///
     /// The operator interrupts, or the daemon is gone.
-    pub(super) fn finding(mut self, bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-        let values = keys(&self.parameters);
+    pub(super) fn finding(&mut self) -> Result<Finding, Trouble> {
+        let mut parameters = std::mem::take(&mut self.parameters);
+        let values = keys(&parameters);
         if !values.is_empty()
             && !self.has_failed()
-            && let Err(refused) = put_in_force(bench, &values)?
+            && let Err(refused) = self.put_in_force(&values)?
         {
             let found = format!("the measured values are not in force: {refused}");
             let fix = "correct the value that the daemon refuses, and run this step again";
@@ -357,13 +370,13 @@ impl Checks {
         }
         if self.has_failed() {
             // A value that is not in force must not count as written.
-            for parameter in &mut self.parameters {
+            for parameter in &mut parameters {
                 parameter.key = None;
             }
         }
         Ok(Finding {
             expected: self.expected.join("; "),
-            parameters: self.parameters,
+            parameters,
             ..Finding::new(
                 self.verdict.unwrap_or(Verdict::Skipped),
                 self.found.join("; "),
@@ -371,20 +384,4 @@ impl Checks {
             )
         })
     }
-}
-
-/// Puts values in force. A stopped board accepts no configuration: it is reset first.
-///
-/// # Errors
-///
-/// The operator interrupts, or the daemon is gone.
-pub(super) fn put_in_force(
-    bench: &mut dyn Bench,
-    values: &[(&str, toml_edit::Value)],
-) -> Result<Result<(), Refused>, Interrupted> {
-    if !reset_if_stopped(bench)? {
-        let reason = "the board is stopped: it accepts no configuration before its reset";
-        return Ok(Err(Refused(reason.to_owned())));
-    }
-    Ok(bench.change(values))
 }

@@ -4,12 +4,13 @@ use core::f64::consts::TAU;
 
 use singletrack_control::{Time, unwrap_near, wrap};
 
-use super::gather::{Checks, Readings, distance, motion, seconds, turned};
+use super::gather::{Checks, distance, turned};
 use crate::{
-    Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine,
-    PoseReading, Trouble,
+    Bench, BoardReading, Finding, Interval, Parameter, Plot, PlotKind, PlotLine, PoseReading,
+    Trouble,
     Verdict::{Failed, Warning},
     fit::{Rolled, mean, mean_interval, rolled, turned_about},
+    observed::Readings,
 };
 
 /// Turns to each side, and rolls.
@@ -40,30 +41,24 @@ const STRAIGHT_RAD: f64 = 0.6;
 
 /// Pivot, yaw and pulse distance, by turns and rolls.
 pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let mut checks = Checks::default();
-    let Some(origins) = turns(bench, &mut checks)? else {
-        return checks.finding(bench);
-    };
+    let mut checks = Checks::begin(bench);
+    let origins = turns(&mut checks)?;
     let axis = |index: usize| mean_interval(origins.iter().map(|origin| origin[index]), AXLE_M);
     let (Some(along), Some(across)) = (axis(0), axis(1)) else {
-        return checks.finding(bench);
+        return checks.finding();
     };
-    let Some(passes) = rolls(bench, [along.value, across.value], &mut checks)? else {
-        return checks.finding(bench);
-    };
-    let first = passes.first().map_or(0.0, |pass| -pass.rolled.direction);
-    let yaws = passes
-        .iter()
-        .map(|pass| unwrap_near(-pass.rolled.direction, first));
-    if let Some(yaw) = mean_interval(yaws, TOE_RAD) {
-        place(bench, [along, across], yaw, &mut checks);
+    let passes = rolls([along.value, across.value], &mut checks)?;
+    let yaws = passes.iter().map(|pass| -pass.rolled.direction);
+    let first = yaws.clone().next().unwrap_or(0.0);
+    if let Some(yaw) = mean_interval(yaws.map(|yaw| unwrap_near(yaw, first)), TOE_RAD) {
+        place([along, across], yaw, &mut checks);
     }
-    pulses(bench, &passes, &mut checks);
-    checks.finding(bench)
+    pulses(&passes, &mut checks);
+    checks.finding()
 }
 
 /// The origin of the body from the rear axle, along the body's axes, by each turn.
-fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 2]>>, Interrupted> {
+fn turns(checks: &mut Checks<'_>) -> Result<Vec<[f64; 2]>, Trouble> {
     let mut origins = Vec::new();
     let mut paths = [const { Vec::new() }; 2];
     for turn in 0..2 * TURNS {
@@ -78,12 +73,9 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
                            keep the middle of the rear axle over the point.";
             ("turn-right-about-rear-axle", request)
         };
-        if checks.skips(bench, "turn about the rear axle", id, request)? {
-            return Ok(None);
-        }
-        let (readings, is_done) = motion(bench, |readings| {
-            let angles = turned(&readings.poses);
-            let angle = angles.last().copied().unwrap_or(0.0);
+        checks.needs("turn about the rear axle", id, request)?;
+        let (readings, is_done) = checks.motion(|readings| {
+            let angle = turned(&readings.poses);
             let text = format!("{:+.0} degrees", angle.to_degrees());
             (text, angle.abs() / ENOUGH_RAD)
         })?;
@@ -94,8 +86,7 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
             let found = found.map_or_else(|| "the car was not turned".to_owned(), wandered);
             let expected = "a whole turn about the middle of the rear axle";
             let fix = "turn it as asked, and run this step again";
-            checks.add(Failed, found, expected, fix);
-            return Ok(None);
+            return Err(checks.fail(found, expected, fix));
         };
         origins.push(origin);
         for (path, held) in paths.iter_mut().zip([[0.0; 2], origin]) {
@@ -110,8 +101,8 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
         PlotLine::new("rear axle", PlotKind::Fitted, axle),
     ];
     let title = "Turns about the rear axle";
-    bench.plot(&Plot::of_places("turns", title, lines));
-    Ok(Some(origins))
+    checks.plot(&Plot::new("turns", title, Plot::PLACES, lines));
+    Ok(origins)
 }
 
 /// A pass of the car over the floor.
@@ -124,12 +115,8 @@ struct Pass {
     clock: f64,
 }
 
-fn rolls(
-    bench: &mut dyn Bench,
-    origin: [f64; 2],
-    checks: &mut Checks,
-) -> Result<Option<Vec<Pass>>, Interrupted> {
-    let believed = 1e-6 * f64::from(bench.configuration().board.speed.pulse_distance_um);
+fn rolls(origin: [f64; 2], checks: &mut Checks<'_>) -> Result<Vec<Pass>, Trouble> {
+    let believed = 1e-6 * f64::from(checks.config().board.speed.pulse_distance_um);
     let mut passes = Vec::new();
     let mut is_latched = false;
     for _ in 0..ROLLS {
@@ -139,22 +126,15 @@ fn rolls(
                        stretches of half a metre that take a second or two each, with a pause of a \
                        second between them: wheels that turn for longer count as a motor that \
                        runs. Push from behind, not to the side.";
-        if checks.skips(bench, "roll", "roll-forward", request)? {
-            return Ok(None);
-        }
-        let (readings, is_done) = motion(bench, |readings| {
+        checks.needs("roll", "roll-forward", request)?;
+        let (readings, is_done) = checks.motion(|readings| {
             let way = readings.moved();
             (format!("{way:.2} m"), way / ENOUGH_M)
         })?;
         let Some(found) = rolled(&readings.poses, origin).filter(|_| is_done) else {
+            let expected = "2 m, or 1.5 m at least";
             let fix = "roll it as asked, and run this step again";
-            checks.add(
-                Failed,
-                "the car was not rolled",
-                "2 m, or 1.5 m at least",
-                fix,
-            );
-            return Ok(None);
+            return Err(checks.fail("the car was not rolled", expected, fix));
         };
         is_latched |= readings.is_latched();
         passes.push(Pass {
@@ -173,18 +153,14 @@ fn rolls(
     let degrees = turn.to_degrees();
     let found = format!("{ROLLS} rolls of {way:.2} m, turned by {degrees:.0} degrees at most");
     let fix = "put the front wheels straight, and repeat";
-    checks.add(
-        Warning.unless(turn < STRAIGHT_RAD),
-        found,
-        "below 34 degrees",
-        fix,
-    );
-    Ok(Some(passes))
+    let verdict = Warning.unless(turn < STRAIGHT_RAD);
+    checks.add(verdict, found, "below 34 degrees", fix);
+    Ok(passes)
 }
 
 /// Where the body is on the car.
-fn place(bench: &dyn Bench, origin: [Interval; 2], yaw: Interval, checks: &mut Checks) {
-    let rear = bench.configuration().vehicle.rear_axle_distance_m;
+fn place(origin: [Interval; 2], yaw: Interval, checks: &mut Checks<'_>) {
+    let rear = checks.config().vehicle.rear_axle_distance_m;
     let [along, across] = origin;
     // From the body's axes to those of the car.
     let (sin, cos) = yaw.value.sin_cos();
@@ -211,14 +187,11 @@ fn place(bench: &dyn Bench, origin: [Interval; 2], yaw: Interval, checks: &mut C
     checks.good(found, "where its markers are");
     let round = |value: f64, digits: f64| (value * digits).round() / digits;
     let offset = [round(forward.value, 1e4), round(left.value, 1e4)];
-    let is_possible = offset.iter().all(|part| part.abs() < 1.0);
-    let found = if is_possible {
-        ""
-    } else {
-        "the pivot is more than 1 m away"
-    };
-    let fix = "define the body's pivot on the car, in the cameras' program";
-    checks.check(is_possible, found, "", fix);
+    if !offset.iter().all(|part| part.abs() < 1.0) {
+        let found = "the pivot is more than 1 m away";
+        let fix = "define the body's pivot on the car, in the cameras' program";
+        checks.add(Failed, found, "", fix);
+    }
     let yaw = Interval {
         value: wrap(yaw.value),
         ..yaw.shifted(wrap(yaw.value) - yaw.value)
@@ -234,18 +207,13 @@ fn place(bench: &dyn Bench, origin: [Interval; 2], yaw: Interval, checks: &mut C
 }
 
 /// The distance of a pulse.
-fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
-    let believed = f64::from(bench.configuration().board.speed.pulse_distance_um);
+fn pulses(passes: &[Pass], checks: &mut Checks<'_>) {
+    let believed = f64::from(checks.config().board.speed.pulse_distance_um);
     let ratios: Vec<f64> = passes.iter().filter_map(|pass| pass.ratio).collect();
     let fix = "look at the motor's sensor and its wire to D2, see docs/uno.md";
     let Some(ratio) = mean_interval(&ratios, 0.0).filter(|_| ratios.len() == passes.len()) else {
-        checks.add(
-            Failed,
-            "no motor pulses",
-            "pulses while the wheels turn",
-            fix,
-        );
-        return;
+        let expected = "pulses while the wheels turn";
+        return checks.add(Failed, "no motor pulses", expected, fix);
     };
     let ratio = ratio.widened(SLIP * ratio.value);
     let distance = ratio.scaled(believed);
@@ -296,11 +264,11 @@ fn ratio(readings: &Readings, origin: [f64; 2], pulse: f64) -> Option<f64> {
         else {
             continue;
         };
-        if highest <= SLOW_M_S || seconds(*begin, *end) < STRETCH_S {
+        if highest <= SLOW_M_S || end.seconds_since(*begin) < STRETCH_S {
             continue;
         }
         let way = way(&readings.poses, origin, *begin, *end)?;
-        let late = PERIOD_S + pulse * seconds(*begin, *end) / way;
+        let late = PERIOD_S + pulse * end.seconds_since(*begin) / way;
         by_cameras += way;
         by_pulses += wheel_way(&readings.boards, *begin, *end, late) * clock;
     }
@@ -310,9 +278,9 @@ fn ratio(readings: &Readings, origin: [f64; 2], pulse: f64) -> Option<f64> {
 /// Seconds of the board's clock in a second: a ceramic resonator is up to 0.5 % wrong.
 fn clock(boards: &[BoardReading]) -> f64 {
     match (boards.first(), boards.last()) {
-        (Some(first), Some(last)) if seconds(first.time, last.time) > 1.0 => {
+        (Some(first), Some(last)) if last.time.seconds_since(first.time) > 1.0 => {
             let own = f64::from(last.board_us.wrapping_sub(first.board_us)) * 1e-6;
-            own / seconds(first.time, last.time)
+            own / last.time.seconds_since(first.time)
         }
         _ => 1.0,
     }
@@ -325,7 +293,7 @@ fn speeds(poses: &[PoseReading]) -> Vec<(Time, f64)> {
         .windows(2 * AROUND + 1)
         .filter_map(|window| {
             let (first, last) = (window.first()?, window.last()?);
-            let time = seconds(first.capture, last.capture);
+            let time = last.capture.seconds_since(first.capture);
             let speed = distance(first.position, last.position) / time;
             // A gap is no movement.
             (time < 0.3).then_some((window.get(AROUND)?.capture, speed))
@@ -339,15 +307,10 @@ fn wheel_way(boards: &[BoardReading], begin: Time, end: Time, late: f64) -> f64 
     boards
         .windows(2)
         .map(|pair| {
-            let from = (seconds(begin, pair[0].time) - late).max(0.0);
-            let to = (seconds(begin, pair[1].time) - late).min(seconds(begin, end));
-            let speed = pair[1].motor_speed.abs();
-            let speed = if speed > 0.0 {
-                speed + HALF_STEP_M_S
-            } else {
-                0.0
-            };
-            speed * (to - from).max(0.0)
+            let from = (pair[0].time.seconds_since(begin) - late).max(0.0);
+            let to = (pair[1].time.seconds_since(begin) - late).min(end.seconds_since(begin));
+            let rounded_off = if pair[1].turns() { HALF_STEP_M_S } else { 0.0 };
+            (pair[1].motor_speed.abs() + rounded_off) * (to - from).max(0.0)
         })
         .sum()
 }
@@ -355,10 +318,10 @@ fn wheel_way(boards: &[BoardReading], begin: Time, end: Time, late: f64) -> f64 
 /// The way of the rear axle between two moments, along its path.
 fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Option<f64> {
     let at = |time: Time| {
-        let after = poses.partition_point(|pose| seconds(pose.capture, time) >= 0.0);
+        let after = poses.partition_point(|pose| time.seconds_since(pose.capture) >= 0.0);
         let (before, after) = (poses.get(after.checked_sub(1)?)?, poses.get(after)?);
-        let gap = seconds(before.capture, after.capture);
-        let share = seconds(before.capture, time) / gap;
+        let gap = after.capture.seconds_since(before.capture);
+        let share = time.seconds_since(before.capture) / gap;
         let ends = [before, after].map(|pose| pose.place_of(origin));
         let place = [0, 1].map(|axis| ends[0][axis] + share * (ends[1][axis] - ends[0][axis]));
         (gap < 0.2).then_some((place, before.yaw))

@@ -1,13 +1,15 @@
 //! The IMU at rest and turned by hand.
 
+use nalgebra::Vector3;
 use singletrack_protocol::{ImuAxes, ImuAxis};
 
-use super::gather::{Checks, Readings, for_time, motion, norm, put_in_force, seconds};
+use super::gather::{Checks, norm};
 use crate::{
-    Bench, Finding, Inertial, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Trouble,
+    Bench, Finding, Inertial, Interval, Parameter, Plot, PlotKind, PlotLine, PoseReading, Trouble,
     Verdict::{Failed, Warning},
     fit::{block_means, mean, mean_interval, standard_deviation},
     imu_noise::{NoiseLevel, compare},
+    observed::Readings,
 };
 
 /// Time at rest, in s.
@@ -25,36 +27,36 @@ const BACK: f64 = 0.4;
 
 /// Registers, tilt, bias and noise of a car that stands.
 pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let mut checks = Checks::default();
+    let mut checks = Checks::begin(bench);
     let request = "Put the car on a level floor, where the cameras see it. Press Enter, and do not \
                    touch it for a minute.";
-    if checks.skips(bench, "rest", "stand-still", request)? {
-        return checks.finding(bench);
-    }
+    checks.needs("rest", "stand-still", request)?;
     // The hand leaves the car.
-    for_time(bench, 1.0, "wait")?;
-    let readings = for_time(bench, REST_S, "rest")?;
+    checks.for_time(1.0, "wait")?;
+    let readings = checks.for_time(REST_S, "rest")?;
     check_registers(&readings, &mut checks);
     let samples: Vec<Inertial> = readings.inertial().collect();
     let rate = samples.len() as f64 / readings.duration().max(1.0);
-    let is_good = rate > 80.0;
+    let found = format!("{rate:.0} samples a second");
     let fix = "look at the IMU's wires (SDA, SCL, 5 V, ground), see docs/uno.md";
-    checks.check(is_good, format!("{rate:.0} samples a second"), "100", fix);
+    checks.check(rate > 80.0, found, "100", fix);
     if samples.len() > 10 * BLOCKS {
-        check_gyro(bench, &samples, &mut checks);
-        check_tilt(bench, &samples, &readings, &mut checks);
-        check_noise(bench, samples, &mut checks);
+        check_gyro(&samples, &mut checks);
+        check_tilt(&samples, &readings.poses, &mut checks);
+        check_noise(samples, &mut checks);
     }
     check_wheels(&readings, &mut checks);
-    let gyro = readings.gyro().into_iter();
-    let gyro = gyro.map(|(time, rate)| [time, rate[2]]).collect();
-    let lines = vec![PlotLine::new("gyro", PlotKind::Measured, gyro)];
-    let axis = ("yaw rate", "rad/s");
-    bench.plot(&Plot::over_time("rest", "The gyro at rest", axis, lines));
-    checks.finding(bench)
+    let lines = vec![PlotLine::new("gyro", PlotKind::Measured, readings.gyro())];
+    checks.plot(&Plot::new(
+        "rest",
+        "The gyro at rest",
+        Plot::YAW_RATE,
+        lines,
+    ));
+    checks.finding()
 }
 
-fn check_registers(readings: &Readings, checks: &mut Checks) {
+fn check_registers(readings: &Readings, checks: &mut Checks<'_>) {
     let Some(status) = readings.status() else {
         return;
     };
@@ -85,7 +87,7 @@ fn check_registers(readings: &Readings, checks: &mut Checks) {
     }
 }
 
-fn check_gyro(bench: &dyn Bench, samples: &[Inertial], checks: &mut Checks) {
+fn check_gyro(samples: &[Inertial], checks: &mut Checks<'_>) {
     let rates = samples.iter().map(|sample| sample.angular_velocity[2]);
     let rates: Vec<f64> = rates.collect();
     let means = block_means(&rates, BLOCKS);
@@ -97,11 +99,11 @@ fn check_gyro(bench: &dyn Bench, samples: &[Inertial], checks: &mut Checks) {
     let Some(bias) = mean_interval(&means, steps) else {
         return;
     };
-    let limit = bench.configuration().watch.max_gyro_bias_rad_s;
-    let is_good = bias.value.abs() < limit / 4.0;
+    let limit = checks.config().watch.max_gyro_bias_rad_s / 4.0;
     let found = format!("gyro bias {:.4} rad/s", bias.value);
     let fix = "leave the car at rest while the IMU starts: it calibrates its gyro then";
-    checks.check(is_good, found, format!("below {:.3}", limit / 4.0), fix);
+    let is_good = bias.value.abs() < limit;
+    checks.check(is_good, found, format!("below {limit:.3}"), fix);
     let found = format!("noise {noise:.4} rad/s");
     let fix = "fix the IMU to the chassis, and the car to a floor that does not shake";
     checks.check(noise < 0.02, found, "below 0.02", fix);
@@ -114,11 +116,11 @@ fn check_gyro(bench: &dyn Bench, samples: &[Inertial], checks: &mut Checks) {
 
 /// The noise at rest, against what the estimator believes. It is larger while the wheels turn:
 /// `doctor --stand`.
-fn check_noise(bench: &dyn Bench, samples: Vec<Inertial>, checks: &mut Checks) {
+fn check_noise(samples: Vec<Inertial>, checks: &mut Checks<'_>) {
     let Some(level) = NoiseLevel::of(0.0, &[samples]) else {
         return;
     };
-    let comparison = compare(&[level], &bench.configuration().estimator);
+    let comparison = compare(&[level], &checks.config().estimator);
     let found = comparison.found.join("; ");
     let expected = "at most 1.3 times what [estimator] believes";
     if comparison.too_small.is_empty() {
@@ -133,7 +135,7 @@ fn check_noise(bench: &dyn Bench, samples: Vec<Inertial>, checks: &mut Checks) {
     }
 }
 
-fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, checks: &mut Checks) {
+fn check_tilt(samples: &[Inertial], poses: &[PoseReading], checks: &mut Checks<'_>) {
     let average = |part: fn(&Inertial) -> f64| mean(samples.iter().map(part)).unwrap_or(0.0);
     let roll = average(|sample| sample.roll);
     let pitch = average(|sample| sample.pitch);
@@ -142,13 +144,12 @@ fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, chec
     let fix = "if the floor is level, the IMU is mounted askew or board.imu is wrong: see the next \
                step";
     checks.check(roll.hypot(pitch) < MAX_TILT, found, "below 5", fix);
-    if readings.poses.is_empty() {
+    let body = |part: fn(&PoseReading) -> f64| mean(poses.iter().map(part));
+    let (Some(of_roll), Some(of_pitch)) = (body(|pose| pose.roll), body(|pose| pose.pitch)) else {
         return;
-    }
-    let limit = bench.configuration().watch.max_tilt_difference_rad;
-    let body =
-        |part: fn(&crate::PoseReading) -> f64| mean(readings.poses.iter().map(part)).unwrap_or(0.0);
-    let difference = (roll - body(|pose| pose.roll)).hypot(pitch - body(|pose| pose.pitch));
+    };
+    let limit = checks.config().watch.max_tilt_difference_rad;
+    let difference = (roll - of_roll).hypot(pitch - of_pitch);
     // The next steps show which of them is wrong.
     let found = format!("{:.1} degrees from the cameras", difference.to_degrees());
     let expected = format!("below {:.1}", limit.to_degrees());
@@ -157,28 +158,26 @@ fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, chec
 }
 
 /// Wheels at rest must give no pulses.
-fn check_wheels(readings: &Readings, checks: &mut Checks) {
+fn check_wheels(readings: &Readings, checks: &mut Checks<'_>) {
     let moving = readings.boards.iter().filter(|board| board.turns()).count();
     let refused = readings.risen(|status| status.edges_refused);
-    let found = if moving == 0 && refused == 0 {
-        "no motor pulses at rest".to_owned()
-    } else {
-        format!("motor pulses at rest: {moving} readings, {refused} refused edges")
+    let is_good = moving == 0 && refused == 0;
+    let found = match is_good {
+        true => "no motor pulses at rest".to_owned(),
+        false => format!("motor pulses at rest: {moving} readings, {refused} refused edges"),
     };
     let fix = "the wire to D2 picks up noise: 1 kOhm and 10 nF at the pin, see docs/uno.md";
-    checks.check(moving == 0 && refused == 0, found, "none", fix);
+    checks.check(is_good, found, "none", fix);
 }
 
 /// The axes by three motions. Wrong ones are corrected in the configuration, and tried again.
 pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let mut checks = Checks::default();
-    let before = bench.configuration().board_configuration().imu_axes;
-    let Some(found) = mounting(bench, &mut checks)? else {
-        return checks.finding(bench);
-    };
+    let mut checks = Checks::begin(bench);
+    let before = checks.config().board_configuration().imu_axes;
+    let found = mounting(&mut checks)?;
     if found == before {
         checks.good(format!("axes are {}", words(found)), "as configured");
-        return checks.finding(bench);
+        return checks.finding();
     }
     let values = [
         ("board.imu.forward", found.forward),
@@ -189,26 +188,24 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let fix = "correct board.imu in the configuration, and run this step again";
     let [measured, configured] = [found, before].map(words);
     let text = format!("axes are {measured}, configured were {configured}");
-    if let Err(refused) = put_in_force(bench, &values)? {
+    if let Err(refused) = checks.put_in_force(&values)? {
         let found = format!("{text}; not changed: {refused}");
-        checks.add(Failed, found, "as configured", fix);
-        return checks.finding(bench);
+        return Err(checks.fail(found, "as configured", fix));
     }
     // The board restarts the IMU with the new axes.
-    for_time(bench, 2.0, "the IMU starts with its new axes")?;
-    if let Some(again) = mounting(bench, &mut checks)? {
-        if again == found {
-            checks.add(Warning, format!("{text}: corrected"), "as configured", "");
-        } else {
-            let found = format!("{text}; after the correction they are {}", words(again));
-            checks.add(Failed, found, "as configured", fix);
-        }
+    checks.for_time(2.0, "the IMU starts with its new axes")?;
+    let again = mounting(&mut checks)?;
+    if again == found {
+        checks.add(Warning, format!("{text}: corrected"), "as configured", "");
+    } else {
+        let found = format!("{text}; after the correction they are {}", words(again));
+        checks.add(Failed, found, "as configured", fix);
     }
-    checks.finding(bench)
+    checks.finding()
 }
 
-/// The mounting of the chip, by three motions; `None` if they do not determine it.
-fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes>, Interrupted> {
+/// The mounting of the chip, by three motions.
+fn mounting(checks: &mut Checks<'_>) -> Result<ImuAxes, Trouble> {
     // The car is put down again after a lift, but not turned back.
     let left_up = "Press Enter, then lift the left side of the car by about 45 degrees, hold it \
                    for a second, and put it down again.";
@@ -223,10 +220,8 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes
     ];
     let mut rotations = [[0.0; 3]; 3];
     for (rotation, (id, request, what, returns)) in rotations.iter_mut().zip(steps) {
-        if checks.skips(bench, what, id, request)? {
-            return Ok(None);
-        }
-        let (readings, is_done) = motion(bench, |readings| {
+        checks.needs(what, id, request)?;
+        let (readings, is_done) = checks.motion(|readings| {
             let (largest, last) = rotations_of(readings).map(norm).into();
             let is_back = !returns || last < BACK * largest;
             let done = largest / ENOUGH_RAD;
@@ -237,46 +232,37 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes
             let degrees = norm(rotations_of(&readings)[0]).to_degrees();
             let found = format!("{what}: the IMU turned by {degrees:.0} degrees only");
             let fix = "repeat the motion; if it was done, the IMU does not measure it";
-            checks.add(Failed, found, "30 degrees or more", fix);
-            return Ok(None);
+            return Err(checks.fail(found, "30 degrees or more", fix));
         }
         [*rotation, _] = rotations_of(&readings);
     }
     let [roll, nose_up, turn] = rotations;
-    let axes = bench.configuration().board_configuration().imu_axes;
+    let axes = checks.config().board_configuration().imu_axes;
     // Along the chip's own axes, in the sense of forward, left and up.
     let measured = [roll, nose_up.map(|part| -part), turn].map(|vector| on_chip(axes, vector));
-    let found = nearest(measured);
-    if found.is_none() {
+    nearest(measured).ok_or_else(|| {
         let found = "the three motions are not about the axes of the IMU";
         let fix = "mount the IMU along the axes of the car, and repeat the motions one axis at a \
                    time";
-        checks.add(Failed, found, "each within 35 degrees of one", fix);
-    }
-    Ok(found)
+        checks.fail(found, "each within 35 degrees of one", fix)
+    })
 }
 
 /// The largest rotation since the beginning, and the present one, as vectors in the configured
 /// axes.
 fn rotations_of(readings: &Readings) -> [[f64; 3]; 2] {
-    let mut rotation = [0.0; 3];
-    let mut largest = [0.0; 3];
+    let [mut largest, mut rotation] = [Vector3::zeros(); 2];
     let samples: Vec<Inertial> = readings.inertial().collect();
     for pair in samples.windows(2) {
         // A gap is no rotation.
-        let step = seconds(pair[0].time, pair[1].time).clamp(0.0, 0.05);
-        for (axis, part) in rotation.iter_mut().enumerate() {
-            let rate = f64::midpoint(
-                pair[0].angular_velocity[axis],
-                pair[1].angular_velocity[axis],
-            );
-            *part += rate * step;
-        }
-        if norm(rotation) > norm(largest) {
+        let step = pair[1].time.seconds_since(pair[0].time).clamp(0.0, 0.05);
+        let rates = [pair[0], pair[1]].map(|sample| Vector3::from(sample.angular_velocity));
+        rotation += 0.5 * step * (rates[0] + rates[1]);
+        if rotation.norm() > largest.norm() {
             largest = rotation;
         }
     }
-    [largest, rotation]
+    [largest, rotation].map(Into::into)
 }
 
 /// A vector of readings, turned back to the chip's own axes.

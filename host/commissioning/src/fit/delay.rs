@@ -36,16 +36,15 @@ const BLOCKS: usize = 10;
 /// `systematic` bounds the error of the stamps of the velocities, in s. None if the motion does
 /// not tell.
 pub(crate) fn stamp_delay(
-    angles: &[(f64, f64)],
-    velocities: &[(f64, f64)],
+    angles: &[[f64; 2]],
+    velocities: &[[f64; 2]],
     systematic: f64,
 ) -> Option<Delay> {
     let turned = Turned::new(velocities)?;
     // All delays are compared on the same angles.
-    let usable: Vec<(f64, f64)> = angles
-        .iter()
-        .copied()
-        .filter(|(time, _)| turned.covers(time - RANGE) && turned.covers(time + RANGE))
+    let usable = angles.iter().copied();
+    let usable: Vec<[f64; 2]> = usable
+        .filter(|[time, _]| turned.covers(time - RANGE) && turned.covers(time + RANGE))
         .collect();
     if usable.len() < 10 * BLOCKS {
         return None;
@@ -54,19 +53,19 @@ pub(crate) fn stamp_delay(
     let (_, first) = (-steps..=steps)
         .filter_map(|step| {
             let late = f64::from(step) * STEP;
-            let fit = least_squares(usable.iter().map(|(time, angle)| {
+            let fit = least_squares(usable.iter().map(|[time, angle]| {
                 let (turned, _) = turned.at(time - late);
                 ([1.0, *time, turned], *angle)
             }))?;
             Some((fit.residual, late))
         })
         .min_by(|left, right| left.0.total_cmp(&right.0))?;
-    let solve = |blocks: &[&&[(f64, f64)]]| {
+    let solve = |blocks: &[&&[[f64; 2]]]| {
         let mut late = first;
         let mut scale = 1.0;
         for _ in 0..STEPS {
             let rows = blocks.iter().flat_map(|block| block.iter());
-            let fit = least_squares(rows.map(|(time, angle)| {
+            let fit = least_squares(rows.map(|[time, angle]| {
                 let (turned, velocity) = turned.at(time - late);
                 ([1.0, *time, turned, -velocity], *angle)
             }))?;
@@ -75,7 +74,7 @@ pub(crate) fn stamp_delay(
         }
         Some([late, scale])
     };
-    let blocks: Vec<&[(f64, f64)]> = usable.chunks_exact(usable.len() / BLOCKS).collect();
+    let blocks: Vec<&[[f64; 2]]> = usable.chunks_exact(usable.len() / BLOCKS).collect();
     let [late, scale] = jackknife(&blocks, [systematic, 0.0], solve)?;
     Some(Delay { late, scale })
 }
@@ -87,12 +86,12 @@ struct Turned {
 }
 
 impl Turned {
-    fn new(velocities: &[(f64, f64)]) -> Option<Self> {
+    fn new(velocities: &[[f64; 2]]) -> Option<Self> {
         let mut angle = 0.0;
         let mut before: Option<(f64, f64)> = None;
         let points: Vec<_> = velocities
             .iter()
-            .filter_map(|(time, velocity)| {
+            .filter_map(|[time, velocity]| {
                 if let Some((last, other)) = before {
                     if *time <= last {
                         return None;
@@ -247,13 +246,13 @@ mod tests {
                 let time = 0.01 * f64::from(index) + 0.003;
                 // Rounded to the steps of the protocol.
                 let read = rate(time) + bias + 0.003 * noise.normal(1.0);
-                (time, sign * (read * 1e3).round() / 1e3)
+                [time, sign * (read * 1e3).round() / 1e3]
             })
             .collect();
         let angles: Vec<_> = (0..1_200)
             .map(|index| {
                 let time = 0.01 * f64::from(index);
-                (time, yaw(time - late) + 0.001_7 * noise.normal(1.0))
+                [time, yaw(time - late) + 0.001_7 * noise.normal(1.0)]
             })
             .collect();
         stamp_delay(&angles, &velocities, 0.0)
@@ -268,7 +267,7 @@ mod tests {
     #[test]
     fn a_car_that_stands_tells_no_delay() {
         let still: Vec<_> = (0..1_200)
-            .map(|index| (0.01 * f64::from(index), 0.0))
+            .map(|index| [0.01 * f64::from(index), 0.0])
             .collect();
         assert_eq!(stamp_delay(&still, &still, 0.0), None);
         assert_eq!(stamp_delay(&[], &[], 0.0), None);

@@ -20,5 +20,5 @@ pub(crate) use statistics::{
     LeastSquares, block_means, gauss_newton, jackknife, least_squares, mean, mean_interval, median,
     standard_deviation,
 };
-pub(crate) use track::{Frames, Motion, Signal, Track};
-pub(crate) use wheels::{Wheels, wheel_angles, wheels, yaw_rates};
+pub(crate) use track::{Frames, Motion, Signal};
+pub(crate) use wheels::{Driven, Wheels};

@@ -1,4 +1,4 @@
-//! The readings of a drive on one time axis, and the pulses that servo and ESC got.
+//! The readings of a drive over the time in s, and the pulses that servo and ESC got.
 //!
 //! The board begins a pulse for each of the two every 20 ms since its start, and makes a record
 //! every 10 ms: the native board at multiples of 10 ms, the Arduino's image 5 ms after them. A
@@ -8,26 +8,9 @@ use singletrack_control::statistics::Line;
 use singletrack_control::{interpolate, unwrap_near};
 
 use super::{Reading, sample_times};
-use crate::Observation;
+use crate::{BoardReading, Inertial, observed::Readings};
 
-/// A sample over time: seconds since the start of the track, and its value.
-type Sample<T> = (f64, T);
-
-/// The readings of a drive.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Track {
-    origin_ns: Option<u64>,
-    /// Angular velocity about the vertical, rad/s, when it was read.
-    gyro: Vec<(Reading, f64)>,
-    /// Pulses of servo and ESC, µs.
-    pulses: [Vec<Record>; 2],
-    /// Speed by the motor pulses, m/s.
-    motor: Vec<[f64; 2]>,
-    /// Position, m, and yaw, rad, not wrapped, of the rigid body by the stamp.
-    poses: Vec<Sample<([f64; 2], f64)>>,
-}
-
-/// The values of a track at the times of its poses.
+/// The values of a drive at the times of its poses.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
     /// Time by the clock of the gyro, s.
@@ -46,88 +29,75 @@ const SMOOTHED: usize = 15;
 /// The duration of the windows that find the latency, s: the gyro wanders in longer ones.
 const WINDOW: f64 = 2.0;
 
-impl Track {
-    /// Adds a reading, in the order of arrival.
-    pub(crate) fn push(&mut self, observation: &Observation) {
-        match observation {
-            Observation::Board(board) => {
-                let time = self.seconds(board.time.0);
-                self.motor.push([time, board.motor_speed]);
-                for (records, pulse) in self.pulses.iter_mut().zip([board.servo_us, board.esc_us]) {
-                    records.push((time, board.board_us, pulse.into()));
-                }
-                if let Some(inertial) = board.inertial {
-                    let time = self.seconds(inertial.time.0);
-                    let board_us = inertial.board_us;
-                    let reading = Reading { time, board_us };
-                    self.gyro.push((reading, inertial.angular_velocity[2]));
-                }
-            }
-            Observation::Pose(pose) => {
-                let time = self.seconds(pose.capture.0);
-                let last = self.poses.last().map_or(0.0, |(_, (_, yaw))| *yaw);
-                let yaw = unwrap_near(pose.yaw, last);
-                let [x, y, _] = pose.position;
-                self.poses.push((time, ([x, y], yaw)));
-            }
-            _ => {}
-        }
-    }
-
-    /// Seconds since the start of the track.
-    pub(crate) fn seconds(&mut self, time_ns: u64) -> f64 {
-        let origin = *self.origin_ns.get_or_insert(time_ns);
-        time_ns.wrapping_sub(origin).cast_signed() as f64 * 1e-9
-    }
-
+impl Readings {
     /// The pulses of the servo.
     pub(crate) fn servo(&self) -> Frames {
-        Frames::of(&self.pulses[0])
+        self.frames(|board| board.servo_us)
     }
 
     /// The pulses of the ESC.
     pub(crate) fn esc(&self) -> Frames {
-        Frames::of(&self.pulses[1])
+        self.frames(|board| board.esc_us)
     }
 
-    /// The angular velocity when it was measured.
-    fn rate(&self) -> Signal {
-        let (readings, rates): (Vec<Reading>, Vec<f64>) = self.gyro.iter().copied().unzip();
-        let times = sample_times(&readings).times;
-        let samples = times.into_iter().zip(rates);
-        Signal(samples.map(|(time, rate)| [time, rate]).collect())
+    fn frames(&self, pulse: fn(&BoardReading) -> u16) -> Frames {
+        let record =
+            |board: &BoardReading| (self.at(board.time), board.board_us, pulse(board).into());
+        Frames::of(&self.boards.iter().map(record).collect::<Vec<_>>())
+    }
+
+    /// The angular velocity about the vertical, rad/s, when it was measured, and a bound on an error
+    /// that these times have in common, s.
+    pub(crate) fn rate(&self) -> (Signal, f64) {
+        let reading = |sample: Inertial| Reading {
+            time: self.at(sample.time),
+            board_us: sample.board_us,
+        };
+        let times = sample_times(&self.inertial().map(reading).collect::<Vec<_>>());
+        let rates = self.inertial().map(|sample| sample.angular_velocity[2]);
+        let samples = times.times.into_iter().zip(rates);
+        let signal = samples.map(|(time, rate)| [time, rate]).collect();
+        (Signal(signal), times.systematic)
+    }
+
+    /// The yaw of the rigid body by the stamp, rad, not wrapped.
+    pub(crate) fn yaws(&self) -> Vec<[f64; 2]> {
+        let mut yaw = 0.0;
+        let unwrapped = self.poses.iter().map(|pose| {
+            yaw = unwrap_near(pose.yaw, yaw);
+            [self.at(pose.capture), yaw]
+        });
+        unwrapped.collect()
     }
 
     /// The integral of the motor's speed, m.
     pub(crate) fn way(&self) -> Signal {
-        Signal(self.motor.clone()).integral()
+        let boards = self.boards.iter();
+        let speeds = boards.map(|board| [self.at(board.time), board.motor_speed]);
+        Signal(speeds.collect()).integral()
     }
 
     /// The lateness of the poses' stamps against the gyro, s, as two sums of which it is the quotient, so
-    /// that tracks can be added. None without motion.
+    /// that drives can be added. None without motion.
     pub(crate) fn latency(&self) -> [f64; 2] {
-        let rate = self.rate();
+        let (rate, _) = self.rate();
         let smooth = rate.smoothed(2);
         let turned = rate.integral();
         let mut sums = [0.0; 2];
-        let mut index = 0;
-        while let Some((start, _)) = self.poses.get(index) {
-            let end = start + WINDOW;
-            let rest = self.poses[index..].iter();
-            let length = rest.take_while(|(time, _)| *time < end).count();
-            let window = &self.poses[index..index + length];
-            index += length.max(1);
+        let yaws = self.yaws();
+        let mut rest = &yaws[..];
+        while let [[start, _], ..] = rest {
+            let length = rest.partition_point(|[time, _]| *time < start + WINDOW);
+            let (window, after) = rest.split_at(length.max(1));
+            rest = after;
             if (length as f64) < 50.0 * WINDOW {
                 continue;
             }
-            let times: Vec<f64> = window.iter().map(|(time, _)| time - start).collect();
-            let lead: Vec<f64> = window
-                .iter()
-                .map(|(time, (_, yaw))| turned.at(*time) - yaw)
-                .collect();
-            let rates: Vec<f64> = window.iter().map(|(time, _)| smooth.at(*time)).collect();
-            let (lead, rates) = (detrended(&times, &lead), detrended(&times, &rates));
-            for (lead, rate) in lead.iter().zip(&rates) {
+            let times = window.iter().map(|[time, _]| time - start);
+            let lead = window.iter().map(|[time, yaw]| turned.at(*time) - yaw);
+            let rates = window.iter().map(|[time, _]| smooth.at(*time));
+            let pairs = detrended(times.clone(), lead).into_iter();
+            for (lead, rate) in pairs.zip(detrended(times, rates)) {
                 sums[0] += lead * rate;
                 sums[1] += rate * rate;
             }
@@ -137,22 +107,24 @@ impl Track {
 
     /// The motion at the poses, whose stamps are late by `latency` s.
     pub(crate) fn motion(&self, latency: f64) -> Motion {
-        let turned = self.rate().integral();
-        let time: Vec<f64> = self.poses.iter().map(|(time, _)| time - latency).collect();
+        let turned = self.rate().0.integral();
+        let yaws = self.yaws();
+        let time: Vec<f64> = yaws.iter().map(|[time, _]| time - latency).collect();
         let gyro: Vec<f64> = time.iter().map(|time| turned.at(*time)).collect();
-        let pairs = self.poses.iter().zip(&gyro);
-        let lead: Vec<f64> = pairs.map(|((_, (_, yaw)), gyro)| yaw - gyro).collect();
-        let yaw: Vec<f64> = (0..lead.len())
-            .map(|index| {
-                let around = SMOOTHED.min(index).min(lead.len() - 1 - index);
-                let near = &lead[index - around..=index + around];
-                gyro[index] + near.iter().sum::<f64>() / near.len() as f64
-            })
-            .collect();
+        let pairs = yaws.iter().zip(&gyro);
+        let lead: Vec<f64> = pairs.map(|([_, yaw], gyro)| yaw - gyro).collect();
+        let smoothed = lead.iter().enumerate().map(|(index, _)| {
+            let around = SMOOTHED.min(index).min(lead.len() - 1 - index);
+            let near = &lead[index - around..=index + around];
+            gyro[index] + near.iter().sum::<f64>() / near.len() as f64
+        });
+        let yaw: Vec<f64> = smoothed.collect();
         let yaw_rate = slopes(&time, &yaw, 1);
-        let positions = self.poses.iter().map(|(_, (position, _))| *position);
+        let poses = self.poses.iter();
         Motion {
-            position: positions.collect(),
+            position: poses
+                .map(|pose| [pose.position[0], pose.position[1]])
+                .collect(),
             time,
             yaw,
             yaw_rate,
@@ -177,15 +149,18 @@ fn slopes(time: &[f64], values: &[f64], span: usize) -> Vec<f64> {
 }
 
 /// Values without their mean and trend over time.
-fn detrended(times: &[f64], values: &[f64]) -> Vec<f64> {
-    let points = times.iter().zip(values).map(|(t, v)| [*t, *v]);
+fn detrended(
+    times: impl Iterator<Item = f64> + Clone,
+    values: impl Iterator<Item = f64> + Clone,
+) -> Vec<f64> {
+    let points = times.zip(values).map(|(t, v)| [t, v]);
     let line = Line::through(points.clone());
     points.map(|[t, v]| v - line.at(t)).collect()
 }
 
 /// A value over time, linear between its samples: time in s and value.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Signal(Vec<[f64; 2]>);
+pub(crate) struct Signal(pub(crate) Vec<[f64; 2]>);
 
 impl Signal {
     /// The value at a time; the first or the last one outside.

@@ -43,169 +43,159 @@ const AHEAD: f64 = 0.3;
 /// Slower poses tell nothing of the steering, m/s.
 const SLOWEST: f64 = 0.05;
 
-/// Fits the servo to the yaw rate: `speed` is that of the rear axle at every pose. `about` is
-/// where the search begins. None if the drive does not determine it.
-pub(crate) fn wheels(
-    motion: &Motion,
-    pulses: &Frames,
-    speed: &[f64],
-    vehicle: &VehicleParameters,
-    about: [f64; 2],
-) -> Option<Wheels> {
-    let [centre_us, gain_us_per_rad] = about;
-    let residuals = |&[centre_us, inverse, lag, delay, play_us]: &[f64; 5]| {
-        let angle = |pulse: f64| 1e-3 * (pulse - centre_us) * inverse;
-        let servo = [lag, delay, play_us];
-        residuals(motion, pulses, speed, vehicle, &angle, servo)
-    };
-    let start = [centre_us, 1_000.0 / gain_us_per_rad, 0.04, 0.01];
-    let reach = 1_000.0 / gain_us_per_rad.abs();
-    let bounds = [
-        [centre_us - 200.0, centre_us + 200.0],
-        // Its sign is known.
-        [0.3 * reach, 3.0 * reach].map(|gain| gain * gain_us_per_rad.signum()),
-        SERVO_BOUNDS[0],
-        SERVO_BOUNDS[1],
-    ]
-    .map(|[one, other]: [f64; 2]| [one.min(other), one.max(other)]);
-    let scale = [0.5, 0.01, 0.001, 0.001];
-    // Play has corners: together with it the search for the others would end at one of them.
-    let mut near = start;
-    let mut with_play = |play_us: f64| {
-        let whole = |&[centre, inverse, lag, delay]: &[f64; 4]| {
-            residuals(&[centre, inverse, lag, delay, play_us])
+/// A drive with bends.
+pub(crate) struct Driven<'a> {
+    pub(crate) motion: Motion,
+    /// The pulses of the servo.
+    pub(crate) pulses: &'a Frames,
+    /// The speed of the rear axle at every pose, m/s.
+    pub(crate) speed: Vec<f64>,
+    pub(crate) vehicle: &'a VehicleParameters,
+}
+
+impl Driven<'_> {
+    /// Fits the servo to the yaw rate. The search begins at this centre and gain. None if the drive
+    /// does not determine it.
+    pub(crate) fn wheels(&self, [centre_us, gain_us_per_rad]: [f64; 2]) -> Option<Wheels> {
+        let residuals = |&[centre_us, inverse, lag, delay, play_us]: &[f64; 5]| {
+            let angle = |pulse: f64| 1e-3 * (pulse - centre_us) * inverse;
+            self.residuals(&angle, [lag, delay, play_us])
         };
-        let found = gauss_newton(near, scale, bounds, whole)?;
-        near = found;
-        Some((whole(&found).iter().map(|r| r * r).sum::<f64>(), found))
-    };
-    // Golden section: one of the two inner points stays.
-    const GOLDEN: f64 = 0.618_034;
-    let [mut low, mut high] = [0.0, MOST_PLAY_US];
-    let [mut one, mut other] = [high - GOLDEN * high, GOLDEN * high];
-    let [mut at_one, mut at_other] = [with_play(one)?.0, with_play(other)?.0];
-    while high - low > PLAY_STEP_US {
-        if at_one < at_other {
-            high = other;
-            (other, at_other) = (one, at_one);
-            one = high - GOLDEN * (high - low);
-            at_one = with_play(one)?.0;
-        } else {
-            low = one;
-            (one, at_one) = (other, at_other);
-            other = low + GOLDEN * (high - low);
-            at_other = with_play(other)?.0;
+        let start = [centre_us, 1_000.0 / gain_us_per_rad, 0.04, 0.01];
+        let reach = 1_000.0 / gain_us_per_rad.abs();
+        let bounds = [
+            [centre_us - 200.0, centre_us + 200.0],
+            // Its sign is known.
+            [0.3 * reach, 3.0 * reach].map(|gain| gain * gain_us_per_rad.signum()),
+            SERVO_BOUNDS[0],
+            SERVO_BOUNDS[1],
+        ]
+        .map(|[one, other]: [f64; 2]| [one.min(other), one.max(other)]);
+        let scale = [0.5, 0.01, 0.001, 0.001];
+        // Play has corners: together with it the search for the others would end at one of them.
+        let mut near = start;
+        let mut with_play = |play_us: f64| {
+            let whole = |&[centre, inverse, lag, delay]: &[f64; 4]| {
+                residuals(&[centre, inverse, lag, delay, play_us])
+            };
+            let found = gauss_newton(near, scale, bounds, whole)?;
+            near = found;
+            Some((whole(&found).iter().map(|r| r * r).sum::<f64>(), found))
+        };
+        // Golden section: one of the two inner points stays.
+        const GOLDEN: f64 = 0.618_034;
+        let [mut low, mut high] = [0.0, MOST_PLAY_US];
+        let [mut one, mut other] = [high - GOLDEN * high, GOLDEN * high];
+        let [mut at_one, mut at_other] = [with_play(one)?.0, with_play(other)?.0];
+        while high - low > PLAY_STEP_US {
+            if at_one < at_other {
+                high = other;
+                (other, at_other) = (one, at_one);
+                one = high - GOLDEN * (high - low);
+                at_one = with_play(one)?.0;
+            } else {
+                low = one;
+                (one, at_one) = (other, at_other);
+                other = low + GOLDEN * (high - low);
+                at_other = with_play(other)?.0;
+            }
         }
+        let play_us = f64::midpoint(low, high);
+        let (_, [centre_us, inverse, lag, delay]) = with_play(play_us)?;
+        let found = [centre_us, inverse, lag, delay, play_us];
+        let mut sums = [[0.0; 2]; 2];
+        for (residual, rate) in residuals(&found).iter().zip(&self.motion.yaw_rate[1..]) {
+            let side = usize::from(*rate < 0.0);
+            sums[side][0] += residual * rate.signum();
+            sums[side][1] += rate.abs();
+        }
+        Some(Wheels {
+            centre_us,
+            gain_us_per_rad: 1_000.0 / inverse,
+            lag,
+            delay,
+            play_us,
+            excess: sums.map(|[excess, turned]| if turned > 0.0 { excess / turned } else { 0.0 }),
+        })
     }
-    let play_us = f64::midpoint(low, high);
-    let (_, [centre_us, inverse, lag, delay]) = with_play(play_us)?;
-    let found = [centre_us, inverse, lag, delay, play_us];
-    let mut sums = [[0.0; 2]; 2];
-    for (residual, rate) in residuals(&found).iter().zip(&motion.yaw_rate[1..]) {
-        let side = usize::from(*rate < 0.0);
-        sums[side][0] += residual * rate.signum();
-        sums[side][1] += rate.abs();
+
+    /// The angles of the wheels at these pulses, in rad, with straight lines between them, for a servo
+    /// that is otherwise as `found`; every pulse of the pass should lie between them. None if the
+    /// drive does not determine them.
+    pub(crate) fn wheel_angles(
+        &self,
+        found: &Wheels,
+        at_us: &[f64; PULSES],
+    ) -> Option<[f64; PULSES]> {
+        // The lag and the dead time that fitted a straight line are not quite those of this servo.
+        let whole = |&[angles @ .., lag, delay]: &[f64; PULSES + 2]| {
+            let pairs: [[f64; 2]; PULSES] = std::array::from_fn(|i| [at_us[i], angles[i]]);
+            let angle = |pulse: f64| interpolate(&pairs, pulse);
+            self.residuals(&angle, [lag, delay, found.play_us])
+        };
+        let [a, b, c, d, e] = at_us.map(|pulse| (pulse - found.centre_us) / found.gain_us_per_rad);
+        let start = [a, b, c, d, e, found.lag, found.delay];
+        let (wide, [lag, delay]) = ([-1.5, 1.5], SERVO_BOUNDS);
+        let bounds = [wide, wide, wide, wide, wide, lag, delay];
+        let [angles @ .., _, _] = gauss_newton(start, [1e-3; PULSES + 2], bounds, whole)?;
+        Some(angles)
     }
-    Some(Wheels {
-        centre_us,
-        gain_us_per_rad: 1_000.0 / inverse,
-        lag,
-        delay,
-        play_us,
-        excess: sums.map(|[excess, turned]| if turned > 0.0 { excess / turned } else { 0.0 }),
-    })
-}
 
-/// The angles of the wheels at these pulses, in rad, with straight lines between them, for a servo
-/// that is otherwise as `found`; every pulse of the pass should lie between them. None if the
-/// drive does not determine them.
-pub(crate) fn wheel_angles(
-    motion: &Motion,
-    pulses: &Frames,
-    speed: &[f64],
-    vehicle: &VehicleParameters,
-    found: &Wheels,
-    at_us: &[f64; PULSES],
-) -> Option<[f64; PULSES]> {
-    // The lag and the dead time that fitted a straight line are not quite those of this servo.
-    let whole = |&[angles @ .., lag, delay]: &[f64; PULSES + 2]| {
-        let pairs: [[f64; 2]; PULSES] = std::array::from_fn(|i| [at_us[i], angles[i]]);
-        let angle = |pulse: f64| interpolate(&pairs, pulse);
-        let servo = [lag, delay, found.play_us];
-        residuals(motion, pulses, speed, vehicle, &angle, servo)
-    };
-    let [a, b, c, d, e] = at_us.map(|pulse| (pulse - found.centre_us) / found.gain_us_per_rad);
-    let start = [a, b, c, d, e, found.lag, found.delay];
-    let (wide, [lag, delay]) = ([-1.5, 1.5], SERVO_BOUNDS);
-    let bounds = [wide, wide, wide, wide, wide, lag, delay];
-    let [angles @ .., _, _] = gauss_newton(start, [1e-3; PULSES + 2], bounds, whole)?;
-    Some(angles)
-}
-
-/// The measured yaw rate and that of the model from pose to pose: s, rad/s, rad/s.
-pub(crate) fn yaw_rates(
-    motion: &Motion,
-    pulses: &Frames,
-    speed: &[f64],
-    vehicle: &VehicleParameters,
-    found: &Wheels,
-) -> Vec<[f64; 3]> {
-    let angle = |pulse: f64| (pulse - found.centre_us) / found.gain_us_per_rad;
-    let servo = [found.lag, found.delay, found.play_us];
-    let residuals = residuals(motion, pulses, speed, vehicle, &angle, servo);
-    let steps = motion.time.windows(2).zip(motion.yaw.windows(2));
-    steps
-        .zip(residuals)
-        .map(|((time, yaw), residual)| {
+    /// The measured yaw rate and that of the model from pose to pose: s, rad/s, rad/s.
+    pub(crate) fn yaw_rates(&self, found: &Wheels) -> Vec<[f64; 3]> {
+        let angle = |pulse: f64| (pulse - found.centre_us) / found.gain_us_per_rad;
+        let residuals = self.residuals(&angle, [found.lag, found.delay, found.play_us]);
+        let steps = self.motion.time.windows(2).zip(self.motion.yaw.windows(2));
+        let rates = steps.zip(residuals).map(|((time, yaw), residual)| {
             let rate = (yaw[1] - yaw[0]) / (time[1] - time[0]);
             [f64::midpoint(time[0], time[1]), rate, rate - residual]
-        })
-        .collect()
-}
+        });
+        rates.collect()
+    }
 
-/// The differences of the measured yaw rate from that of the model, from pose to pose, rad/s.
-fn residuals(
-    motion: &Motion,
-    pulses: &Frames,
-    speed: &[f64],
-    vehicle: &VehicleParameters,
-    angle: &dyn Fn(f64) -> f64,
-    [lag, delay, play_us]: [f64; 3],
-) -> Vec<f64> {
-    let Some(&start) = motion.time.first() else {
-        return Vec::new();
-    };
-    let mut now = start - AHEAD;
-    let mut held = pulses.at(now - delay);
-    let mut turned = angle(held);
-    let bend = turned / vehicle.wheelbase_m();
-    let beta = bend * vehicle.rear_axle_distance_m;
-    let mut state = [bend * speed.first().unwrap_or(&0.0), beta];
-    let share = 1.0 - (-STEP / lag).exp();
-    (1..motion.time.len())
-        .map(|index| {
-            let [t0, t1] = [motion.time[index - 1], motion.time[index]];
-            let middle = f64::midpoint(t0, t1);
-            let speed = f64::midpoint(speed[index - 1], speed[index]);
-            while now + STEP <= middle {
-                now += STEP;
-                let pulse = pulses.mean(now - delay, STEP);
-                held = held.clamp(pulse - 0.5 * play_us, pulse + 0.5 * play_us);
-                let before = turned;
-                turned += share * (angle(held) - turned);
-                let steered = f64::midpoint(before, turned);
-                state = step(vehicle, state, speed.max(SLOWEST), steered, STEP);
-            }
-            if speed < SLOWEST || t1 <= t0 {
-                return 0.0;
-            }
-            let rate = (motion.yaw[index] - motion.yaw[index - 1]) / (t1 - t0);
-            // The remaining part of a step, as if the motion changed evenly.
-            let next = step(vehicle, state, speed, turned, STEP)[0];
-            let rest = (middle - now) / STEP;
-            rate - state[0] - rest * (next - state[0])
-        })
-        .collect()
+    /// The differences of the measured yaw rate from that of the model, from pose to pose, rad/s.
+    fn residuals(&self, angle: &dyn Fn(f64) -> f64, [lag, delay, play_us]: [f64; 3]) -> Vec<f64> {
+        let Self {
+            motion,
+            pulses,
+            speed,
+            vehicle,
+        } = self;
+        let Some(&start) = motion.time.first() else {
+            return Vec::new();
+        };
+        let mut now = start - AHEAD;
+        let mut held = pulses.at(now - delay);
+        let mut turned = angle(held);
+        let bend = turned / vehicle.wheelbase_m();
+        let beta = bend * vehicle.rear_axle_distance_m;
+        let mut state = [bend * speed.first().unwrap_or(&0.0), beta];
+        let share = 1.0 - (-STEP / lag).exp();
+        (1..motion.time.len())
+            .map(|index| {
+                let [t0, t1] = [motion.time[index - 1], motion.time[index]];
+                let middle = f64::midpoint(t0, t1);
+                let speed = f64::midpoint(speed[index - 1], speed[index]);
+                while now + STEP <= middle {
+                    now += STEP;
+                    let pulse = pulses.mean(now - delay, STEP);
+                    held = held.clamp(pulse - 0.5 * play_us, pulse + 0.5 * play_us);
+                    let before = turned;
+                    turned += share * (angle(held) - turned);
+                    let steered = f64::midpoint(before, turned);
+                    state = step(vehicle, state, speed.max(SLOWEST), steered, STEP);
+                }
+                if speed < SLOWEST || t1 <= t0 {
+                    return 0.0;
+                }
+                let rate = (motion.yaw[index] - motion.yaw[index - 1]) / (t1 - t0);
+                // The remaining part of a step, as if the motion changed evenly.
+                let next = step(vehicle, state, speed, turned, STEP)[0];
+                let rest = (middle - now) / STEP;
+                rate - state[0] - rest * (next - state[0])
+            })
+            .collect()
+    }
 }
 
 /// Yaw rate and sideslip after a step with the rear axle's speed and the steering angle, of the
@@ -317,7 +307,7 @@ mod tests {
     };
 
     /// A pass over both circles with a weave, by a servo with these parameters.
-    fn pass(seed: u64, truth: &Wheels) -> (Motion, Frames, Vec<f64>) {
+    fn pass(seed: u64, truth: &Wheels) -> (Motion, Frames) {
         pass_of(seed, truth, &|pulse| {
             (pulse - truth.centre_us) / truth.gain_us_per_rad
         })
@@ -325,11 +315,7 @@ mod tests {
 
     /// A pass with the angle that the wheels have at a pulse; `truth` has the one that the driver
     /// believes.
-    fn pass_of(
-        seed: u64,
-        truth: &Wheels,
-        turned_by: &dyn Fn(f64) -> f64,
-    ) -> (Motion, Frames, Vec<f64>) {
+    fn pass_of(seed: u64, truth: &Wheels, turned_by: &dyn Fn(f64) -> f64) -> (Motion, Frames) {
         let mut noise = Random::new(seed);
         let phase = 0.02 * noise.uniform();
         let command = 0.01 * noise.uniform();
@@ -385,8 +371,16 @@ mod tests {
                 motion.yaw_rate.push(state[0]);
             }
         }
-        let speed = vec![0.28; motion.time.len()];
-        (motion, pulses, speed)
+        (motion, pulses)
+    }
+
+    fn driven((motion, pulses): &(Motion, Frames)) -> Driven<'_> {
+        Driven {
+            speed: vec![0.28; motion.time.len()],
+            motion: motion.clone(),
+            pulses,
+            vehicle: &CAR,
+        }
     }
 
     #[test]
@@ -410,9 +404,10 @@ mod tests {
         let found: Vec<[f64; 5]> = (0..4)
             .map(|seed| {
                 let turned_by = |pulse| interpolate(&table, pulse);
-                let (motion, pulses, speed) = pass_of(seed, &believed, &turned_by);
-                let line = wheels(&motion, &pulses, &speed, &CAR, [1_500.0, -800.0]).unwrap();
-                wheel_angles(&motion, &pulses, &speed, &CAR, &line, &at_us).unwrap()
+                let pass = pass_of(seed, &believed, &turned_by);
+                let driven = driven(&pass);
+                let line = driven.wheels([1_500.0, -800.0]).unwrap();
+                driven.wheel_angles(&line, &at_us).unwrap()
             })
             .collect();
         for (index, [pulse, angle]) in table.into_iter().enumerate() {
@@ -439,8 +434,8 @@ mod tests {
                 };
                 let found: Vec<Wheels> = (0..6)
                     .map(|index| {
-                        let (motion, pulses, speed) = pass(100 * seed + index, &truth);
-                        wheels(&motion, &pulses, &speed, &CAR, [1_490.0, -750.0]).unwrap()
+                        let pass = pass(100 * seed + index, &truth);
+                        driven(&pass).wheels([1_490.0, -750.0]).unwrap()
                     })
                     .collect();
                 println!("{found:?}");

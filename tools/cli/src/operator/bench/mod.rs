@@ -332,9 +332,10 @@ impl Drop for LiveBench {
 
 /// The picture as SVG.
 fn svg(plot: &Plot) -> String {
+    let [x, y] = plot.axes;
     let axis = |(quantity, unit)| Axis::new(quantity, None, unit);
-    let mut panel = Panel::new(axis(plot.x), axis(plot.y));
-    panel.equal = plot.equal;
+    let mut panel = Panel::new(axis(x), axis(y));
+    panel.equal = x.1 == y.1;
     panel.curves = plot
         .lines
         .iter()
@@ -360,16 +361,16 @@ mod tests {
 
     #[test]
     fn a_plot_becomes_a_picture_with_its_axes_and_lines() {
-        let svg = svg(&Plot::over_time(
-            "latency",
-            "A twist",
-            ("yaw rate", "rad/s"),
-            vec![PlotLine {
+        let svg = svg(&Plot {
+            name: "latency",
+            title: "A twist",
+            axes: [("time", "s"), ("yaw rate", "rad/s")],
+            lines: vec![PlotLine {
                 name: "gyro",
                 kind: PlotKind::Measured,
                 points: vec![[0.0, 1.0], [1.0, 2.0], [f64::NAN, 0.0], [2.0, 1.0]],
             }],
-        ));
+        });
         for part in ["<svg", "A twist", "yaw rate", "gyro"] {
             assert!(svg.contains(part), "{part} is missing in {svg}");
         }
