@@ -129,8 +129,7 @@ impl Edit {
     ///
     /// It can't be written.
     pub fn take_back(&self, path: &Path) -> Result<(), EditError> {
-        let path = fs::canonicalize(path).map_err(EditError::of(path))?;
-        let staged = path.with_added_extension("new");
+        let (path, staged) = places(path)?;
         stage(&path, &staged, &self.old)?;
         put_in_place(&staged, &path).map_err(EditError::of(&path))
     }
@@ -141,8 +140,7 @@ impl Edit {
     ///
     /// It can't be written.
     pub fn rehearse(&self, path: &Path) -> Result<(), EditError> {
-        let path = fs::canonicalize(path).map_err(EditError::of(path))?;
-        let staged = path.with_added_extension("new");
+        let (path, staged) = places(path)?;
         let result = stage(&path, &staged, &self.new);
         let _ = fs::remove_file(&staged);
         result
@@ -167,16 +165,13 @@ impl Edit {
         if !self.is_changed() {
             return Ok(None);
         }
-        // A link stays a link.
-        let path = fs::canonicalize(path).map_err(EditError::of(path))?;
+        let (path, staged) = places(path)?;
         let kept = kept_name(&path, date);
-        let staged = path.with_added_extension("new");
         let result = stage(&path, &staged, &self.new)
             .and_then(|()| {
                 // In the file's folder: its relative paths start there.
-                Config::read(&staged)
-                    .map(drop)
-                    .map_err(|error| EditError(format!("the new values do not fit: {error}")))
+                let read = Config::read(&staged).map(drop);
+                read.map_err(|error| EditError(format!("the new values do not fit: {error}")))
             })
             .and_then(|()| keep(&path, &kept))
             .and_then(|()| put_in_place(&staged, &path).map_err(EditError::of(&path)));
@@ -185,6 +180,13 @@ impl Edit {
         }
         result.map(|()| Some(kept))
     }
+}
+
+/// The file itself, so that a link stays a link, and where its new text is written.
+fn places(path: &Path) -> Result<(PathBuf, PathBuf), EditError> {
+    let path = fs::canonicalize(path).map_err(EditError::of(path))?;
+    let staged = path.with_added_extension("new");
+    Ok((path, staged))
 }
 
 /// Writes the new text beside the file, with its owner and permissions, down to the disk.
@@ -228,14 +230,13 @@ fn keep(path: &Path, kept: &Path) -> Result<(), EditError> {
 
 /// An unused name for the old file.
 fn kept_name(path: &Path, date: &str) -> PathBuf {
-    let first = path.with_added_extension(format!("old-{date}"));
-    if !first.exists() {
-        return first;
+    let mut name = path.with_added_extension(format!("old-{date}"));
+    let mut number = 2;
+    while name.exists() {
+        name = path.with_added_extension(format!("old-{date}-{number}"));
+        number += 1;
     }
-    (2..u32::MAX)
-        .map(|number| path.with_added_extension(format!("old-{date}-{number}")))
-        .find(|name| !name.exists())
-        .unwrap_or(first)
+    name
 }
 
 fn parsed(text: &str) -> Result<DocumentMut, EditError> {
@@ -262,50 +263,40 @@ fn is_set(text: &str, key: &str, value: &Value) -> bool {
 pub(crate) fn same(left: &Value, right: &Value) -> bool {
     match (left, right) {
         (Value::Array(left), Value::Array(right)) => {
-            left.len() == right.len()
-                && left
-                    .iter()
-                    .zip(right.iter())
-                    .all(|(left, right)| same(left, right))
+            let mut pairs = left.iter().zip(right.iter());
+            left.len() == right.len() && pairs.all(|(left, right)| same(left, right))
         }
         (Value::String(left), Value::String(right)) => left.value() == right.value(),
         (Value::Boolean(left), Value::Boolean(right)) => left.value() == right.value(),
-        _ => match (number(left), number(right)) {
-            (Some(left), Some(right)) => left.total_cmp(&right).is_eq(),
-            _ => false,
-        },
+        _ => {
+            let number = |value: &Value| {
+                let integer = value.as_integer().map(|integer| integer as f64);
+                value.as_float().or(integer)
+            };
+            let numbers = number(left).zip(number(right));
+            numbers.is_some_and(|(left, right)| left.total_cmp(&right).is_eq())
+        }
     }
-}
-
-fn number(value: &Value) -> Option<f64> {
-    value
-        .as_float()
-        .or_else(|| value.as_integer().map(|integer| integer as f64))
 }
 
 /// The text with a commented-out key of a table given a value; none if there is no such line.
 fn uncommented(text: &str, table: &str, name: &str, value: &Value) -> Option<String> {
     let header = format!("[{table}]");
     let mut lines: Vec<&str> = text.split_inclusive('\n').collect();
+    let is_header = |line: &&str| line.split('#').next().unwrap_or("").trim() == header;
     let begin = match table {
         "" => 0,
-        _ => {
-            1 + lines
-                .iter()
-                .position(|line| line.split('#').next().unwrap_or("").trim() == header)?
-        }
+        _ => 1 + lines.iter().position(|line| is_header(line))?,
     };
-    let end = lines
+    let of_table = lines[begin..]
         .iter()
-        .skip(begin)
-        .position(|line| line.starts_with('['))
-        .map_or(lines.len(), |after| begin + after);
-    let index = (begin..end).find(|index| {
-        lines[*index]
-            .strip_prefix('#')
-            .and_then(|line| line.trim_start().strip_prefix(name))
-            .is_some_and(|rest| rest.trim_start().starts_with('='))
-    })?;
+        .take_while(|line| !line.starts_with('['));
+    let mut of_table = of_table.map(|line| line.strip_prefix('#').unwrap_or("").trim_start());
+    let is_meant = |line: &str| {
+        let rest = line.strip_prefix(name);
+        rest.is_some_and(|rest| rest.trim_start().starts_with('='))
+    };
+    let index = begin + of_table.position(is_meant)?;
     let mut value = value.clone();
     value.decor_mut().clear();
     let line = format!("{name} = {value}\n");

@@ -177,11 +177,7 @@ pub struct Interval {
 impl Interval {
     /// A symmetric interval.
     pub fn around(value: f64, half_width: f64) -> Self {
-        Self {
-            value,
-            low: value - half_width,
-            high: value + half_width,
-        }
+        Self::between(value, [value - half_width, value + half_width])
     }
 
     /// An interval with these ends, in either order.
@@ -205,28 +201,20 @@ impl Interval {
 
     /// With an independent error that is within ±`bound` in 95 of 100 cases.
     pub fn widened(&self, bound: f64) -> Self {
-        Self {
-            value: self.value,
-            low: self.value - (self.value - self.low).hypot(bound),
-            high: self.value + (self.high - self.value).hypot(bound),
-        }
+        let Self { value, low, high } = *self;
+        let [below, above] = [value - low, high - value].map(|side| side.hypot(bound));
+        Self::between(value, [value - below, value + above])
     }
 
     /// In another unit, or of the other sign.
     pub fn scaled(&self, factor: f64) -> Self {
-        Self::between(
-            self.value * factor,
-            [self.low, self.high].map(|end| end * factor),
-        )
+        let ends = [self.low, self.high].map(|end| end * factor);
+        Self::between(self.value * factor, ends)
     }
 
     /// Moved by a known distance.
     pub fn shifted(&self, by: f64) -> Self {
-        Self {
-            value: self.value + by,
-            low: self.low + by,
-            high: self.high + by,
-        }
+        Self::between(self.value + by, [self.low + by, self.high + by])
     }
 }
 

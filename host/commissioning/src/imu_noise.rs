@@ -60,15 +60,12 @@ impl NoiseLevel {
     /// From runs of samples at one speed; none if there are too few.
     pub(crate) fn of(speed: f64, runs: &[Vec<Inertial>]) -> Option<Self> {
         let signal = |value: fn(&Inertial) -> f64| {
-            let runs: Vec<Vec<[f64; 2]>> = runs
-                .iter()
-                .map(|run| {
-                    let begin = run.first().map_or(Time(0), |first| first.time);
-                    let at = |sample: &Inertial| [sample.time.seconds_since(begin), value(sample)];
-                    run.iter().map(at).collect()
-                })
-                .collect();
-            signal_noise(&runs)
+            let runs = runs.iter().map(|run| {
+                let begin = run.first().map_or(Time(0), |first| first.time);
+                let at = |sample: &Inertial| [sample.time.seconds_since(begin), value(sample)];
+                run.iter().map(at).collect()
+            });
+            signal_noise(&runs.collect::<Vec<_>>())
         };
         Some(Self {
             speed,
@@ -141,53 +138,57 @@ pub(crate) fn compare(levels: &[NoiseLevel], estimator: &EstimatorSection) -> Co
         vibration: estimator.vibration_noise_density_m_s2_per_sqrt_hz_per_m_s,
     };
     let measured = Belief::of(levels);
-    let found = levels
-        .iter()
-        .map(|level| {
-            format!(
-                "{}: acceleration {:.3} forward and {:.3} m/s² left a sample, {} and {} m/s²/√Hz \
-                 (believed {}); yaw rate {:.4} rad/s a sample, {} rad/s/√Hz (believed {})",
-                if level.speed == 0.0 {
-                    "at rest".to_owned()
-                } else {
-                    format!("at {:.2} m/s", level.speed)
-                },
-                level.forward.deviation,
-                level.left.deviation,
-                digits(level.forward.density.value),
-                digits(level.left.density.value),
-                digits(believed.acceleration(level.speed)),
-                level.yaw_rate.deviation,
-                digits(level.yaw_rate.density.value),
-                digits(believed.gyro),
-            )
-        })
-        .collect();
+    let found = levels.iter().map(|level| {
+        let NoiseLevel {
+            speed,
+            forward,
+            left,
+            yaw_rate,
+        } = level;
+        let when = match *speed {
+            0.0 => "at rest".to_owned(),
+            speed => format!("at {speed:.2} m/s"),
+        };
+        format!(
+            "{when}: acceleration {:.3} forward and {:.3} m/s² left a sample, {} and {} m/s²/√Hz \
+             (believed {}); yaw rate {:.4} rad/s a sample, {} rad/s/√Hz (believed {})",
+            forward.deviation,
+            left.deviation,
+            digits(forward.density.value),
+            digits(left.density.value),
+            digits(believed.acceleration(*speed)),
+            yaw_rate.deviation,
+            digits(yaw_rate.density.value),
+            digits(believed.gyro),
+        )
+    });
+    let mut comparison = Comparison {
+        found: found.collect(),
+        ..Comparison::default()
+    };
     let is_shaken = levels
         .iter()
         .any(|level| level.acceleration() > TOO_SMALL * believed.acceleration(level.speed));
     // The densities of all levels have nearly the same relative error.
-    let error = levels
-        .iter()
-        .map(|level| level.yaw_rate.density.half_width() / level.yaw_rate.density.value)
+    let densities = levels.iter().map(|level| level.yaw_rate.density);
+    let error = densities
+        .map(|density| density.half_width() / density.value)
         .filter(|error| error.is_finite())
         .fold(0.0, f64::max);
     let turns = levels.iter().any(|level| level.speed > 0.0);
-    let mut comparison = Comparison {
-        found,
-        ..Comparison::default()
-    };
-    let is_gyro_noisy = measured.gyro > TOO_SMALL * believed.gyro;
     let values = [
-        (measured.gyro, believed.gyro, is_gyro_noisy),
-        (measured.rest, believed.rest, is_shaken),
-        (measured.vibration, believed.vibration, is_shaken),
+        [measured.gyro, believed.gyro],
+        [measured.rest, believed.rest],
+        [measured.vibration, believed.vibration],
     ];
-    let rows = PARAMETERS.into_iter().zip(values);
-    for ((name, unit, key), (measured, believed, is_too_small)) in rows {
+    for ((name, unit, key), [measured, believed]) in PARAMETERS.into_iter().zip(values) {
         if key == VIBRATION && !turns {
             continue;
         }
+        let is_too_small = match key {
+            GYRO => measured > TOO_SMALL * believed,
+            _ => is_shaken,
+        };
         let proposed = rounded_up(measured);
         let estimate = Interval::around(measured, error * measured);
         let mut parameter = Parameter::new(name, unit, estimate);
@@ -280,11 +281,10 @@ fn windows(run: &[[f64; 2]], period: f64) -> Vec<[f64; 2]> {
     }
     let count = ((WINDOW_S / period).round() as usize).max(1);
     let length = count as f64 * period;
-    run.chunks_exact(count)
-        .filter(|chunk| match (chunk.first(), chunk.last()) {
-            (Some([first, _]), Some([last, _])) => last - first + period < 1.2 * length,
-            _ => false,
-        })
+    let whole = run
+        .chunks_exact(count)
+        .filter(|chunk| chunk[count - 1][0] - chunk[0][0] + period < 1.2 * length);
+    whole
         .filter_map(|chunk| Some([length, mean(chunk.iter().map(|[_, value]| *value))?]))
         .collect()
 }

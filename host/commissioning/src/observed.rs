@@ -12,7 +12,18 @@ impl Observation {
     /// possible. A change of the line is in two ticks, and in none of them alone.
     pub fn of(entry: &Entry, watch: &WatchSection) -> Option<Self> {
         Some(match entry {
-            Entry::Tick(tick) => Self::Tick(TickReading::of(tick)),
+            Entry::Tick(TickRecord {
+                pilot_time, output, ..
+            }) => Self::Tick(TickReading {
+                time: *pilot_time,
+                mode: output.mode,
+                reason: output.reason,
+                preflight: output.preflight,
+                pose: output
+                    .estimate
+                    .map(|estimate| (estimate.position.into(), estimate.yaw)),
+                point: output.point,
+            }),
             Entry::Telemetry(record) => Self::Board(BoardReading::of(record, watch)),
             Entry::Status(record) => Self::Health(*record),
             Entry::Pose(frame) => Self::of_frame(frame),
@@ -43,22 +54,6 @@ impl Observation {
             PoseState::Stale { .. } => "stale",
         };
         Self::NoPose { receive, state }
-    }
-}
-
-impl TickReading {
-    fn of(tick: &TickRecord) -> Self {
-        let output = &tick.output;
-        Self {
-            time: tick.pilot_time,
-            mode: output.mode,
-            reason: output.reason,
-            preflight: output.preflight,
-            pose: output
-                .estimate
-                .map(|estimate| (estimate.position.into(), estimate.yaw)),
-            point: output.point,
-        }
     }
 }
 

@@ -32,14 +32,9 @@ pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
     let _ = writeln!(page, "{}\n", summary(findings));
     page.push_str("| step | verdict | found | should be |\n|---|---|---|---|\n");
     for finding in findings {
-        let _ = writeln!(
-            page,
-            "| {} | {} | {} | {} |",
-            finding.step,
-            finding.verdict.name(),
-            cell(&finding.found),
-            cell(&finding.expected)
-        );
+        let (found, expected) = (cell(&finding.found), cell(&finding.expected));
+        let (step, verdict) = (&finding.step, finding.verdict.name());
+        let _ = writeln!(page, "| {step} | {verdict} | {found} | {expected} |");
     }
     let to_do: Vec<_> = findings.iter().filter(|one| !one.fix.is_empty()).collect();
     if !to_do.is_empty() {
@@ -54,21 +49,20 @@ pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
             "| parameter | value | 95 % interval | unit | written, and why |\n|---|---|---|---|---|\n",
         );
         for parameter in findings.iter().flat_map(|one| &one.parameters) {
-            let Interval { value, low, high } = parameter.estimate;
-            let digits = digits(parameter.estimate.half_width());
+            let [value, interval] = digits(&parameter.estimate);
+            let written = parameter.key.as_ref().map(|(key, value)| {
+                let value = value.to_string();
+                let because = if parameter.why.is_empty() { "" } else { ": " };
+                format!("`{key} = {}`{because}{}", value.trim(), parameter.why)
+            });
+            let (name, unit, written) = (
+                &parameter.name,
+                &parameter.unit,
+                written.unwrap_or_default(),
+            );
             let _ = writeln!(
                 page,
-                "| {} | {value:.digits$} | {low:.digits$} to {high:.digits$} | {} | {} |",
-                parameter.name,
-                parameter.unit,
-                parameter
-                    .key
-                    .as_ref()
-                    .map_or(String::new(), |(key, value)| {
-                        let value = value.to_string();
-                        let because = if parameter.why.is_empty() { "" } else { ": " };
-                        format!("`{key} = {}`{because}{}", value.trim(), parameter.why)
-                    }),
+                "| {name} | {value} | {interval} | {unit} | {written} |"
             );
         }
     }
@@ -86,39 +80,34 @@ pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
 
 /// The number of steps by verdict, in one line.
 pub fn summary(findings: &[Finding]) -> String {
-    let counts: Vec<String> = [
-        Verdict::Good,
-        Verdict::Warning,
-        Verdict::Failed,
-        Verdict::Skipped,
-    ]
-    .into_iter()
-    .filter_map(|verdict| {
-        let same = findings.iter().filter(|one| one.verdict == verdict);
-        let count = same.count();
+    use Verdict::{Failed, Good, Skipped, Warning};
+    let counts = [Good, Warning, Failed, Skipped].map(|verdict| {
+        let count = findings.iter().filter(|one| one.verdict == verdict).count();
         (count > 0).then(|| format!("{count} {}", verdict.name()))
-    })
-    .collect();
+    });
+    let counts: Vec<String> = counts.into_iter().flatten().collect();
     format!("{} steps: {}", findings.len(), counts.join(", "))
 }
 
 /// A parameter on one line, with its interval.
 pub fn line(parameter: &Parameter) -> String {
-    let Interval { value, low, high } = parameter.estimate;
-    let digits = digits(parameter.estimate.half_width());
-    format!(
-        "{} {value:.digits$} {} (95 %: {low:.digits$} to {high:.digits$})",
-        parameter.name, parameter.unit
-    )
+    let [value, interval] = digits(&parameter.estimate);
+    let Parameter { name, unit, .. } = parameter;
+    format!("{name} {value} {unit} (95 %: {interval})")
 }
 
-/// The digits after the point with which an interval has two digits.
-fn digits(half_width: f64) -> usize {
-    if half_width.is_finite() && half_width > 0.0 {
-        (1.0 - half_width.log10().floor()).clamp(0.0, 9.0) as usize
-    } else {
-        3
-    }
+/// The value and the ends of an interval, whose half width then has two digits.
+fn digits(estimate: &Interval) -> [String; 2] {
+    let half_width = estimate.half_width();
+    let digits = match half_width.is_finite() && half_width > 0.0 {
+        true => (1.0 - half_width.log10().floor()).clamp(0.0, 9.0) as usize,
+        false => 3,
+    };
+    let Interval { value, low, high } = estimate;
+    [
+        format!("{value:.digits$}"),
+        format!("{low:.digits$} to {high:.digits$}"),
+    ]
 }
 
 /// A text as a cell of a table.

@@ -152,37 +152,22 @@ fn middle(values: impl Iterator<Item = f64>) -> Option<f64> {
 
 /// Parabolas through poses, over the time from `origin`: x and y relative to the first pose, and yaw
 /// relative to its yaw. With the weight that a pose at `origin` has in the parabola's value there.
-struct Parabolas {
-    x: Vector3<f64>,
-    y: Vector3<f64>,
-    yaw: Vector3<f64>,
-    weight: f64,
-}
-
-impl Parabolas {
-    fn through(poses: &[Seen], origin: Time) -> Option<Self> {
-        let first = poses.first()?;
-        let mut normal = Matrix3::zeros();
-        let mut right = [Vector3::zeros(); 3];
-        for seen in poses {
-            let t = seen.time.seconds_since(origin);
-            let row = Vector3::new(1.0, t, t * t);
-            normal += row * row.transpose();
-            let offset = seen.pose.position - first.pose.position;
-            let yaw = wrap(seen.pose.yaw - first.pose.yaw);
-            for (right, value) in right.iter_mut().zip([offset.x, offset.y, yaw]) {
-                *right += row * value;
-            }
+fn parabolas(poses: &[Seen], origin: Time) -> Option<([Vector3<f64>; 3], f64)> {
+    let first = poses.first()?;
+    let mut normal = Matrix3::zeros();
+    let mut right = [Vector3::zeros(); 3];
+    for seen in poses {
+        let t = seen.time.seconds_since(origin);
+        let row = Vector3::new(1.0, t, t * t);
+        normal += row * row.transpose();
+        let offset = seen.pose.position - first.pose.position;
+        let yaw = wrap(seen.pose.yaw - first.pose.yaw);
+        for (right, value) in right.iter_mut().zip([offset.x, offset.y, yaw]) {
+            *right += row * value;
         }
-        let inverse = normal.try_inverse()?;
-        let [x, y, yaw] = right.map(|right| inverse * right);
-        Some(Self {
-            x,
-            y,
-            yaw,
-            weight: inverse.m11,
-        })
     }
+    let inverse = normal.try_inverse()?;
+    Some((right.map(|right| inverse * right), inverse.m11))
 }
 
 impl Track {
@@ -228,7 +213,7 @@ impl Track {
     /// and Golay's filter of second order is for poses at equal times).
     pub fn motion(&self, time: Time) -> Option<Motion> {
         let around = self.around(time)?;
-        let Parabolas { x, y, yaw, .. } = Parabolas::through(around, time)?;
+        let ([x, y, yaw], _) = parabolas(around, time)?;
         let axis = direction(around.first()?.pose.yaw + yaw.x);
         let in_car = |vx: f64, vy: f64| [axis.x * vx + axis.y * vy, axis.x * vy - axis.y * vx];
         let [forward, left] = in_car(x.y, y.y);
@@ -245,7 +230,7 @@ impl Track {
     pub fn residual(&self, now: &Seen) -> Option<[f64; 3]> {
         let around = self.around(now.time)?;
         let first = around.first()?.pose;
-        let Parabolas { x, y, yaw, weight } = Parabolas::through(around, now.time)?;
+        let ([x, y, yaw], weight) = parabolas(around, now.time)?;
         let offset = now.pose.position - first.position;
         let left = (1.0 - weight).max(0.1).sqrt();
         Some([

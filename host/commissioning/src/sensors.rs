@@ -9,7 +9,10 @@ use nalgebra::SVector;
 use serde::Serialize;
 use singletrack_control::{InertialSample, Time};
 
-use crate::seen::{Motion, Track};
+use crate::{
+    fit::left_out_deviation,
+    seen::{Motion, Track},
+};
 
 /// The step of the comparison, s.
 const STEP: f64 = 0.005;
@@ -83,15 +86,12 @@ pub fn compare(
     source: Source,
 ) -> (Vec<Sensor>, Vec<String>) {
     let Some(grid) = Grid::of(track) else {
-        return (Vec::new(), Vec::new());
+        return Default::default();
     };
     let inertial = |value: fn(&InertialSample) -> f64, power| {
         let samples = readings.inertial.iter();
         let values = samples.map(|sample| (sample.time, value(sample)));
-        grid.smoothed(
-            values.filter(|(_, value)| value.is_finite()).collect(),
-            power,
-        )
+        grid.smoothed(values.filter(|(_, value)| value.is_finite()), power)
     };
     let truth = |value: fn(&Motion) -> f64| grid.truth(value);
     let yaw_rate = truth(|motion| motion.yaw_rate);
@@ -135,7 +135,7 @@ pub fn compare(
         ),
     }));
     let forward = truth(|motion| motion.forward);
-    let motor = grid.smoothed(readings.motor.clone(), 1);
+    let motor = grid.smoothed(readings.motor.iter().copied(), 1);
     if let Some(mut sensor) = Sensor::of("motor", &forward, &motor) {
         // An encoder has no bias, and many drives one speed.
         (sensor.slope, sensor.slope_deviation) = ratio(&forward, &motor);
@@ -148,12 +148,8 @@ pub fn compare(
     }
     let steering = readings.steering.iter();
     let bend = steering.map(|(time, angle)| (*time, libm::tan(*angle) / wheelbase));
-    let bend = grid.smoothed(bend.collect(), 1);
-    let turn: Signal = bend
-        .iter()
-        .zip(&forward)
-        .map(|(bend, forward)| Some(bend.as_ref()? * forward.as_ref()?))
-        .collect();
+    let bend = grid.smoothed(bend, 1).into_iter().zip(&forward);
+    let turn: Signal = bend.map(|(bend, forward)| bend * forward).collect();
     if let Some(sensor) = Sensor::of("steering", &yaw_rate, &turn) {
         if sensor.slope < 0.0 && sensor.correlation < -AGREES {
             let key = match source {
@@ -176,8 +172,8 @@ struct Grid {
     motions: Vec<Option<Motion>>,
 }
 
-/// A signal at the times of the grid.
-type Signal = Vec<Option<f64>>;
+/// A signal at the times of the grid, NaN where it is not known.
+type Signal = Vec<f64>;
 
 impl Grid {
     fn of(track: &Track) -> Option<Self> {
@@ -193,33 +189,35 @@ impl Grid {
 
     fn truth(&self, value: impl Fn(&Motion) -> f64) -> Signal {
         let motions = self.motions.iter();
-        motions.map(|motion| motion.as_ref().map(&value)).collect()
+        motions
+            .map(|motion| motion.as_ref().map_or(f64::NAN, &value))
+            .collect()
     }
 
-    /// Samples, smoothed with the weight (h² - t²) to a power; none where there are few.
-    fn smoothed(&self, mut samples: Vec<(Time, f64)>, power: i32) -> Signal {
+    /// Samples, smoothed with the weight (h² - t²) to a power; NaN where there are few.
+    fn smoothed(&self, samples: impl Iterator<Item = (Time, f64)>, power: i32) -> Signal {
+        let mut samples: Vec<_> = samples.collect();
         samples.sort_by_key(|(time, _)| *time);
-        let whole = 2.0 * self.half;
-        (0..self.motions.len())
-            .map(|step| {
-                let now = self.begin.after(STEP * step as f64);
-                let from = samples.partition_point(|(time, _)| *time <= now.before(self.half));
-                let to = samples.partition_point(|(time, _)| *time < now.after(self.half));
-                let around = samples.get(from..to)?;
-                let (first, last) = (around.first()?.0, around.last()?.0);
-                if around.len() < 4 || last.seconds_since(first) < 0.6 * whole {
-                    return None;
-                }
-                let (mut sum, mut weights) = (0.0, 0.0);
-                for (time, value) in around {
-                    let t = time.seconds_since(now) / self.half;
-                    let weight = (1.0 - t * t).powi(power);
-                    sum += weight * value;
-                    weights += weight;
-                }
-                Some(sum / weights)
-            })
-            .collect()
+        let at = |step: usize| {
+            let now = self.begin.after(STEP * step as f64);
+            let from = samples.partition_point(|(time, _)| *time <= now.before(self.half));
+            let to = samples.partition_point(|(time, _)| *time < now.after(self.half));
+            let around = samples.get(from..to)?;
+            let (first, last) = (around.first()?.0, around.last()?.0);
+            if around.len() < 4 || last.seconds_since(first) < 0.6 * (2.0 * self.half) {
+                return None;
+            }
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for (time, value) in around {
+                let t = time.seconds_since(now) / self.half;
+                let weight = (1.0 - t * t).powi(power);
+                sum += weight * value;
+                weights += weight;
+            }
+            Some(sum / weights)
+        };
+        let steps = 0..self.motions.len();
+        steps.map(|step| at(step).unwrap_or(f64::NAN)).collect()
     }
 }
 
@@ -235,51 +233,40 @@ fn slope_and_correlation(sums: &Sums) -> Option<(f64, f64)> {
 }
 
 /// Sums over all of a drive, and with each of its parts left out.
-type Summed = (Sums, [Sums; PARTS]);
-
-fn sums(truth: &[Option<f64>], read: &[Option<f64>], lag: isize) -> Summed {
+fn sums(truth: &[f64], read: &[f64], lag: isize) -> (Sums, [Sums; PARTS]) {
     let mut all = Sums::zeros();
     let mut parts = [Sums::zeros(); PARTS];
-    for (step, seen) in truth.iter().enumerate() {
+    for (step, x) in truth.iter().enumerate() {
         let later = step.checked_add_signed(lag);
-        let read = later.and_then(|later| *read.get(later)?);
-        if let (Some(x), Some(y)) = (*seen, read) {
-            let pair = Sums::from([1.0, x, y, x * x, x * y, y * y]);
+        let read = later.and_then(|later| read.get(later));
+        if let Some(y) = read.filter(|y| x.is_finite() && y.is_finite()) {
+            let pair = Sums::from([1.0, *x, *y, x * x, x * y, y * y]);
             all += pair;
-            if let Some(part) = parts.get_mut(step * PARTS / truth.len()) {
-                *part += pair;
-            }
+            parts[step * PARTS / truth.len()] += pair;
         }
     }
     (all, parts.map(|part| all - part))
 }
 
 /// What a sensor without bias reads of the truth, and its standard deviation.
-fn ratio(truth: &[Option<f64>], read: &[Option<f64>]) -> (f64, f64) {
+fn ratio(truth: &[f64], read: &[f64]) -> (f64, f64) {
     let (all, parts) = sums(truth, read, 0);
     let ratio = |sums: &Sums| sums[4] / sums[3];
-    (ratio(&all), deviation(&parts.each_ref().map(ratio)))
-}
-
-/// Standard deviation of what comes out if each part is left out once.
-fn deviation(left_out: &[f64]) -> f64 {
-    let count = left_out.len() as f64;
-    let mean = left_out.iter().sum::<f64>() / count;
-    let squares = left_out.iter().map(|value| (value - mean).powi(2));
-    ((count - 1.0) / count * squares.sum::<f64>()).sqrt()
+    (
+        ratio(&all),
+        left_out_deviation(&parts.each_ref().map(ratio)),
+    )
 }
 
 /// The lag at which the magnitude of the correlation is largest, in steps and a share of one.
-fn best_lag(correlations: &[Option<f64>]) -> Option<f64> {
-    let size = |at: usize| Some(correlations.get(at)?.as_ref()?.abs());
-    let best = (0..correlations.len())
-        .filter(|at| size(*at).is_some())
-        .max_by(|a, b| size(*a).unwrap_or(0.0).total_cmp(&size(*b).unwrap_or(0.0)))?;
-    let middle = size(best)?;
-    let sides = best
-        .checked_sub(1)
-        .and_then(|before| Some([size(before)?, size(best + 1)?]));
-    let share = sides.map_or(0.0, |[before, after]| {
+fn best_lag<'a>(sums: impl Iterator<Item = &'a Sums>) -> Option<f64> {
+    let sizes = sums.map(|sums| Some(slope_and_correlation(sums)?.1.abs()));
+    let sizes: Vec<Option<f64>> = sizes.collect();
+    let size = |at: usize| *sizes.get(at)?;
+    let known = (0..sizes.len()).filter_map(|at| Some((at, size(at)?)));
+    let (best, middle) = known.max_by(|(_, a), (_, b)| a.total_cmp(b))?;
+    let sides = best.checked_sub(1).and_then(size).zip(size(best + 1));
+    let share = sides.map_or(0.0, |(before, after)| {
         let bend = before - 2.0 * middle + after;
         if bend < 0.0 {
             0.5 * (before - after) / bend
@@ -291,34 +278,24 @@ fn best_lag(correlations: &[Option<f64>]) -> Option<f64> {
 }
 
 impl Sensor {
-    fn of(sensor: &'static str, truth: &[Option<f64>], read: &[Option<f64>]) -> Option<Self> {
-        let by_lag: Vec<Summed> = (-LAGS..=LAGS).map(|lag| sums(truth, read, lag)).collect();
-        let correlations = |of: &dyn Fn(&Summed) -> Option<Sums>| {
-            let each = by_lag.iter();
-            let values = each.map(|sums| Some(slope_and_correlation(&of(sums)?)?.1));
-            values.collect::<Vec<_>>()
-        };
-        let lag = best_lag(&correlations(&|(all, _)| Some(*all)))?;
+    fn of(sensor: &'static str, truth: &[f64], read: &[f64]) -> Option<Self> {
+        let by_lag: Vec<_> = (-LAGS..=LAGS).map(|lag| sums(truth, read, lag)).collect();
+        let lag = best_lag(by_lag.iter().map(|(all, _)| all))?;
         let lags: Vec<f64> = (0..PARTS)
-            .filter_map(|part| best_lag(&correlations(&|(_, parts)| parts.get(part).copied())))
+            .filter_map(|part| best_lag(by_lag.iter().map(|(_, parts)| &parts[part])))
             .collect();
         let found = Self::at(lag, sensor, truth, read)?;
         let unexplained = |correlation: f64| 1.0 - correlation * correlation;
         let without = Self::at(0.0, sensor, truth, read)?.correlation;
         Some(Self {
-            lag_deviation_s: STEP * deviation(&lags),
+            lag_deviation_s: STEP * left_out_deviation(&lags),
             gain: unexplained(without) / unexplained(found.correlation).max(1e-9),
             ..found
         })
     }
 
     /// At a lag that is known, in steps.
-    fn at(
-        lag: f64,
-        sensor: &'static str,
-        truth: &[Option<f64>],
-        read: &[Option<f64>],
-    ) -> Option<Self> {
+    fn at(lag: f64, sensor: &'static str, truth: &[f64], read: &[f64]) -> Option<Self> {
         let (all, parts) = sums(truth, read, lag.round() as isize);
         let (slope, correlation) = slope_and_correlation(&all)?;
         let slopes: Vec<f64> = parts
@@ -328,7 +305,7 @@ impl Sensor {
         Some(Self {
             sensor,
             slope,
-            slope_deviation: deviation(&slopes),
+            slope_deviation: left_out_deviation(&slopes),
             lag_s: STEP * lag,
             lag_deviation_s: 0.0,
             correlation,

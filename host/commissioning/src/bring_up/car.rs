@@ -1,6 +1,7 @@
 //! The car on its stand: armed jogs, and the watch over it, which ends a step when the car leaves
 //! its place.
 
+use nalgebra::Vector3;
 use singletrack_control::Time;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
@@ -25,6 +26,9 @@ const SILENT_S: f64 = 0.3;
 /// no clock.
 const SILENT_WAITS: u32 = 3_000;
 
+const IN_VIEW: &str = "Put the stand where the cameras see the car's markers.";
+pub(super) const CHECK_LINE: &str = "Check the serial line with `singletrack doctor`.";
+
 /// Attempts at a jog that the operator lets go.
 const ATTEMPTS: u32 = 3;
 
@@ -37,7 +41,8 @@ pub(super) struct Car<'a> {
     observed: Vec<Observation>,
     readings: Vec<BoardReading>,
     place: Place,
-    now: Option<Time>,
+    /// The time of the last tick.
+    pub(super) now: Time,
     silent_waits: u32,
     renewed: Option<(Time, Jog)>,
     /// The newest telemetry.
@@ -49,21 +54,23 @@ pub(super) struct Car<'a> {
 }
 
 impl<'a> Car<'a> {
-    /// Lets the first tick pass: nothing is known yet.
+    /// Lets the first tick pass.
     fn begin(bench: &'a mut dyn Bench) -> Result<Self, Trouble> {
         let mut car = Self {
             bench,
             observed: Vec::new(),
             readings: Vec::new(),
             place: Place::default(),
-            now: None,
+            now: Time(0),
             silent_waits: 0,
             renewed: None,
             board: None,
             status: None,
             linked: true,
         };
-        car.tick()?;
+        while car.now == Time(0) {
+            car.tick()?;
+        }
         Ok(car)
     }
 
@@ -72,13 +79,10 @@ impl<'a> Car<'a> {
         let mut car = Self::begin(bench)?;
         let is_unknown = |car: &Self| car.board.is_none() || !car.place.is_known();
         car.wait_while(10.0, is_unknown, |car| match car.board {
-            None => failed(
-                "the board sends no telemetry",
-                "Check the serial line with `singletrack doctor`.",
-            ),
+            None => failed("the board sends no telemetry", CHECK_LINE),
             Some(_) => failed(
                 "the cameras do not see the car: nothing would notice that it leaves its stand",
-                "Put the stand where the cameras see the car's markers.",
+                IN_VIEW,
             ),
         })?;
         Ok(car)
@@ -86,14 +90,9 @@ impl<'a> Car<'a> {
 
     /// Waits until the board sends telemetry again, 15 s at most.
     pub(super) fn wait_for_board(bench: &'a mut dyn Bench) -> Result<(), Trouble> {
-        Self::begin(bench)?.wait_while(
-            15.0,
-            |car| car.board.is_none(),
-            |_| {
-                let found = "the board does not come back";
-                failed(found, "Check the serial line with `singletrack doctor`.")
-            },
-        )
+        let is_silent = |car: &Self| car.board.is_none();
+        let trouble = |_: &Self| failed("the board does not come back", CHECK_LINE);
+        Self::begin(bench)?.wait_while(15.0, is_silent, trouble)
     }
 
     /// Waits while something holds; fails if it holds for too long.
@@ -103,9 +102,9 @@ impl<'a> Car<'a> {
         holds: impl Fn(&Self) -> bool,
         trouble: impl FnOnce(&Self) -> Trouble,
     ) -> Result<(), Trouble> {
-        let until = self.now()?.after(seconds);
+        let until = self.now.after(seconds);
         while holds(self) {
-            if self.now()? >= until {
+            if self.now >= until {
                 return Err(trouble(self));
             }
             self.tick()?;
@@ -113,13 +112,8 @@ impl<'a> Car<'a> {
         Ok(())
     }
 
-    /// The time of the last tick.
-    pub(super) fn now(&self) -> Result<Time, Trouble> {
-        self.now.ok_or_else(no_news)
-    }
-
-    /// Lets a tick pass; returns its telemetry.
-    pub(super) fn tick(&mut self) -> Result<&[BoardReading], Trouble> {
+    /// Lets a tick pass.
+    fn tick(&mut self) -> Result<(), Trouble> {
         self.observed.clear();
         self.readings.clear();
         let before = self.now;
@@ -147,29 +141,24 @@ impl<'a> Car<'a> {
                     continue;
                 }
             };
-            self.now = self.now.max(Some(at));
+            self.now = self.now.max(at);
         }
-        self.silent_waits = if self.now > before {
-            0
-        } else {
-            self.silent_waits + 1
+        self.silent_waits = match self.now > before {
+            true => 0,
+            false => self.silent_waits + 1,
         };
-        if self.silent_waits > SILENT_WAITS {
-            return Err(no_news());
-        }
-        self.check_place()?;
-        Ok(&self.readings)
+        let fix = "Check that singletrackd runs: `singletrack status`.";
+        let is_heard = self.silent_waits <= SILENT_WAITS;
+        require(is_heard, "the daemon sends nothing", fix)?;
+        self.check_place()
     }
 
     /// Waits for a time without a request; returns the telemetry.
     pub(super) fn watch(&mut self, seconds: f64, what: &str) -> Result<Vec<BoardReading>, Trouble> {
-        if self.now.is_none() {
-            self.tick()?;
-        }
-        let begin = self.now()?;
+        let begin = self.now;
         let mut all = Vec::new();
         loop {
-            let done = self.now()?.seconds_since(begin) / seconds;
+            let done = self.now.seconds_since(begin) / seconds;
             if done >= 1.0 {
                 return Ok(all);
             }
@@ -206,11 +195,11 @@ impl<'a> Car<'a> {
 
     /// Arms, and waits until the board takes jogs.
     pub(super) fn arm(&mut self) -> Result<(), Trouble> {
-        let until = self.now()?.after(ARMING_S);
+        let until = self.now.after(ARMING_S);
         loop {
             match self.bench.arm(Attendance::Jog) {
                 Ok(()) => break,
-                Err(Refused(why)) if self.now()? >= until => {
+                Err(Refused(why)) if self.now >= until => {
                     let found = format!("the car can't be armed: {why}");
                     return Err(failed(found, "Correct it and run the bring-up again."));
                 }
@@ -222,11 +211,11 @@ impl<'a> Car<'a> {
         self.renewed = None;
         // The hand took its time.
         self.tick()?;
-        let until = self.now()?.after(ARMING_S);
+        let until = self.now.after(ARMING_S);
         let rest = self.rest();
         while !self.jogs() {
             let found = "the board does not take the jog after it was armed";
-            require(self.now()? < until, found, "See the log of the daemon.")?;
+            require(self.now < until, found, "See the log of the daemon.")?;
             // Refused until the board is armed.
             let _ = self.bench.jog(rest);
             self.tick()?;
@@ -267,21 +256,20 @@ impl<'a> Car<'a> {
         what: &str,
         mut ends: impl FnMut(&BoardReading) -> bool,
     ) -> Result<Vec<BoardReading>, Trouble> {
-        let begin = self.now()?;
+        let begin = self.now;
         let mut all = Vec::new();
         loop {
-            let now = self.now()?;
-            let done = now.seconds_since(begin) / seconds;
+            let done = self.now.seconds_since(begin) / seconds;
             if done >= 1.0 {
                 return Ok(all);
             }
-            self.renew(jog, now)?;
+            self.renew(jog)?;
             self.tick()?;
             if !self.jogs() {
-                return Err(self.ended(None));
+                return Err(self.ended("by itself"));
             }
-            if self.is_silent_for(SILENT_S)? {
-                return Err(self.ended(Some("the board sends nothing".into())));
+            if self.is_silent() {
+                return Err(self.ended("the board sends nothing"));
             }
             if jog.esc_us != self.rest().esc_us {
                 self.check_seen()?;
@@ -294,10 +282,10 @@ impl<'a> Car<'a> {
         }
     }
 
-    fn renew(&mut self, jog: Jog, now: Time) -> Result<(), Trouble> {
-        let is_recent =
-            |(at, last): &(Time, Jog)| *last == jog && now.seconds_since(*at) < RENEWAL_S;
-        if self.renewed.as_ref().is_some_and(is_recent) {
+    fn renew(&mut self, jog: Jog) -> Result<(), Trouble> {
+        let now = self.now;
+        let last = self.renewed.filter(|(_, last)| *last == jog);
+        if last.is_some_and(|(at, _)| now.seconds_since(at) < RENEWAL_S) {
             return Ok(());
         }
         if let Err(Refused(why)) = self.bench.jog(jog) {
@@ -305,18 +293,16 @@ impl<'a> Car<'a> {
             for _ in 0..5 {
                 self.tick()?;
             }
-            return Err(self.ended(Some(why)));
+            return Err(self.ended(why));
         }
         self.renewed = Some((now, jog));
         Ok(())
     }
 
-    fn ended(&self, refused: Option<String>) -> Trouble {
+    fn ended(&self, why: impl Into<String>) -> Trouble {
         let cause = self.board.map_or(StopCause::None, |board| board.stop_cause);
-        Trouble::Ended {
-            cause,
-            why: refused.unwrap_or_else(|| "by itself".to_owned()),
-        }
+        let why = why.into();
+        Trouble::Ended { cause, why }
     }
 
     /// Stops a car that has left its stand.
@@ -325,8 +311,8 @@ impl<'a> Car<'a> {
             return Ok(());
         };
         let _ = self.bench.emergency_stop();
-        let way_mm = way * 1e3;
-        let found = format!("the cameras saw the car move by {way_mm:.0} mm: emergency stop");
+        let mm = way * 1e3;
+        let found = format!("the cameras saw the car move by {mm:.0} mm: emergency stop");
         let fix = "Put the car on its stand so that nothing can move it, press the reset of the \
                    board, and run the bring-up again.";
         Err(failed(found, fix))
@@ -334,17 +320,13 @@ impl<'a> Car<'a> {
 
     /// Disarms a car whose wheels may turn and which the cameras do not see.
     fn check_seen(&mut self) -> Result<(), Trouble> {
-        let unseen = match (self.place.seen, self.now) {
-            (Some(seen), Some(now)) => now.seconds_since(seen),
-            _ => f64::INFINITY,
-        };
-        if unseen > UNSEEN_S {
-            let _ = self.bench.disarm();
-            let fix = "Put the stand where the cameras see the car's markers.";
-            let found = "the cameras lost the car while its wheels turned";
-            return Err(failed(found, fix));
+        let seen = self.place.seen;
+        if seen.is_some_and(|seen| self.now.seconds_since(seen) <= UNSEEN_S) {
+            return Ok(());
         }
-        Ok(())
+        let _ = self.bench.disarm();
+        let found = "the cameras lost the car while its wheels turned";
+        Err(failed(found, IN_VIEW))
     }
 
     /// Ends the jog at neutral, and waits until the wheels stand.
@@ -368,25 +350,18 @@ impl<'a> Car<'a> {
 
     /// Requests the end of the jog.
     pub(super) fn request_disarm(&mut self) -> Result<(), Trouble> {
-        self.bench.disarm().map_err(|Refused(why)| {
-            let found = format!("the disarm request was refused: {why}");
-            failed(found, "Cut the supply of the ESC.")
-        })
+        granted("disarm request", self.bench.disarm())
     }
 
     /// Requests an emergency stop.
     pub(super) fn request_emergency_stop(&mut self) -> Result<(), Trouble> {
-        self.bench.emergency_stop().map_err(|Refused(why)| {
-            let found = format!("the emergency stop was refused: {why}");
-            failed(found, "Cut the supply of the ESC.")
-        })
+        granted("emergency stop", self.bench.emergency_stop())
     }
 
-    /// Whether the board has sent nothing for this long.
-    fn is_silent_for(&self, seconds: f64) -> Result<bool, Trouble> {
-        let now = self.now()?;
-        let heard = self.board.map_or(now, |board| board.receive);
-        Ok(!self.linked || now.seconds_since(heard) >= seconds)
+    /// Whether the board has sent nothing for [`SILENT_S`].
+    fn is_silent(&self) -> bool {
+        let heard = self.board.map_or(self.now, |board| board.receive);
+        !self.linked || self.now.seconds_since(heard) >= SILENT_S
     }
 
     /// Waits until the motor's pulses have ceased.
@@ -412,28 +387,32 @@ pub(super) fn armed<T>(
     bench: &mut dyn Bench,
     mut jog: impl FnMut(&mut Car<'_>) -> Result<T, Trouble>,
 ) -> Result<T, Trouble> {
+    use StopCause::{CommandTimeout, Disarmed, HostRestarted, JogTimeout};
     let mut attempt = 1;
     loop {
         let mut car = Car::look(bench)?;
         let result = car.arm().and_then(|()| jog(&mut car));
         let result = result.and_then(|value| car.end().map(|()| value));
-        match result {
-            Err(Trouble::Ended {
-                cause:
-                    StopCause::CommandTimeout
-                    | StopCause::JogTimeout
-                    | StopCause::Disarmed
-                    | StopCause::HostRestarted,
-                ..
-            }) if attempt < ATTEMPTS => attempt += 1,
-            result => return result,
+        let Err(Trouble::Ended { cause, .. }) = &result else {
+            return result;
+        };
+        let may_pass = matches!(
+            cause,
+            CommandTimeout | JogTimeout | Disarmed | HostRestarted
+        );
+        if !may_pass || attempt == ATTEMPTS {
+            return result;
         }
+        attempt += 1;
     }
 }
 
-fn no_news() -> Trouble {
-    let found = "the daemon sends nothing";
-    failed(found, "Check that singletrackd runs: `singletrack status`.")
+/// Nothing, or the failure of a stop that the daemon refused.
+fn granted(what: &str, answer: Result<(), Refused>) -> Result<(), Trouble> {
+    answer.map_err(|Refused(why)| {
+        let found = format!("the {what} was refused: {why}");
+        failed(found, "Cut the supply of the ESC.")
+    })
 }
 
 /// Way by which a car on its stand may shake, m, in several poses and in one.
@@ -453,7 +432,7 @@ const PLACE_POSES: u32 = 10;
 #[derive(Debug, Default)]
 pub(super) struct Place {
     poses: u32,
-    sum: [f64; 3],
+    sum: Vector3<f64>,
     yaw: f64,
     off: u32,
     /// How far the car has moved when it has left its place, m.
@@ -465,29 +444,20 @@ pub(super) struct Place {
 impl Place {
     pub(super) fn see(&mut self, pose: &PoseReading) {
         self.seen = Some(pose.receive);
+        let position = Vector3::from(pose.position);
         if self.poses < PLACE_POSES {
             if self.poses == 0 {
                 self.yaw = pose.yaw;
             }
             self.poses += 1;
-            for (sum, value) in self.sum.iter_mut().zip(pose.position) {
-                *sum += value;
-            }
+            self.sum += position;
             return;
         }
-        let poses = f64::from(self.poses);
-        let squares: f64 = self
-            .sum
-            .iter()
-            .zip(pose.position)
-            .map(|(sum, value)| (value - sum / poses).powi(2))
-            .sum();
-        let way = squares.sqrt();
+        let way = (position - self.sum / f64::from(self.poses)).norm();
         let turn = (pose.yaw - self.yaw).sin().abs();
-        self.off = if way > SHAKES_M || turn > SHAKES_RAD {
-            self.off + 1
-        } else {
-            0
+        self.off = match way > SHAKES_M || turn > SHAKES_RAD {
+            true => self.off + 1,
+            false => 0,
         };
         if self.off >= MOVING_POSES || way > JUMPS_M {
             self.left = Some(way);

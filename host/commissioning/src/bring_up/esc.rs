@@ -4,8 +4,7 @@ use singletrack_control::Time;
 use singletrack_protocol::JOG_LIMIT_US;
 
 use super::{
-    car::{Car, armed},
-    questions::{ask_yes, ready},
+    car::{CHECK_LINE, Car, armed},
     spin::{CREEPS, beyond, way},
 };
 use crate::{
@@ -35,7 +34,7 @@ fn by_board(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
                           normally open: docs/uno.md.";
     let dark = |bench: &mut dyn Bench| {
         let text = "The car is disarmed. Is the ESC off: no light, no sound?";
-        ask_yes(bench, "esc-dark", text)
+        bench.ask_yes("esc-dark", text)
     };
     let found = "the ESC has its supply although the kill output is off";
     require(dark(bench)?, found, WIRING)?;
@@ -47,7 +46,7 @@ fn by_board(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let found = "the armed board does not hold its kill output";
     require(power, found, "Load the image again: `cargo uno`.")?;
     let text = "The car was armed until a moment ago. Was the ESC on during that time?";
-    let woke = ask_yes(bench, "esc-woke", text)?;
+    let woke = bench.ask_yes("esc-woke", text)?;
     require(woke, "the armed board does not switch the ESC on", WIRING)?;
     let found = "the ESC keeps its supply after the board was disarmed";
     require(dark(bench)?, found, WIRING)?;
@@ -60,19 +59,18 @@ fn by_hand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
                         switch that you reach at any time into the supply of the ESC.";
     let text = "Can you cut the supply of the ESC without the board: a radio relay, a plug that \
                 you reach with the wheels turning?";
-    if !ask_yes(bench, "kill-switch", text)? {
+    if !bench.ask_yes("kill-switch", text)? {
         let found = "nothing but the pulses on one wire stops the motor";
         return Ok(Finding::warning(found, NONE));
     }
     let request =
         "The wheels will turn. Cut the supply of the ESC a second after they begin. Ready?";
-    ready(bench, "cut-supply", request)?;
-    let spun = armed(bench, |car| {
-        car.spin_for_hand(FROM_US, CUT_WITHIN_S, "cut the supply")
-    })?;
+    bench.ready("cut-supply", request)?;
+    let what = "cut the supply";
+    let spun = armed(bench, |car| car.spin_for_hand(FROM_US, CUT_WITHIN_S, what))?;
     let request =
         "Switch the supply of the ESC on again, and wait until the ESC has started. Done?";
-    ready(bench, "restore-supply", request)?;
+    bench.ready("restore-supply", request)?;
     let found =
         format!("the motor kept turning for {CUT_WITHIN_S} s: the kill switch does not cut it");
     require(spun.stopped_under_drive(), found, NONE)?;
@@ -84,14 +82,10 @@ fn by_hand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 
 /// Time from the last telemetry with nine tenths of the speed to rest, s.
 fn roll_down(readings: &[BoardReading], speed: f64) -> f64 {
-    let begin = readings
-        .iter()
-        .rev()
-        .find(|reading| reading.motor_speed.abs() >= 0.9 * speed);
-    match (begin, readings.last()) {
-        (Some(begin), Some(end)) => end.receive.seconds_since(begin.receive),
-        _ => 0.0,
-    }
+    let mut newest_first = readings.iter().rev();
+    let begin = newest_first.find(|reading| reading.motor_speed.abs() >= 0.9 * speed);
+    let ends = begin.zip(readings.last());
+    ends.map_or(0.0, |(begin, end)| end.receive.seconds_since(begin.receive))
 }
 
 /// Most milliseconds of this step in which the board may refuse edges of the sensor.
@@ -117,7 +111,7 @@ pub(super) fn find_neutral<const SECONDS: u32>(bench: &mut dyn Bench) -> Result<
             ("esc-after-board", after, "after the board"),
             ("board-after-esc", before, "before the board"),
         ] {
-            ready(bench, id, request)?;
+            bench.ready(id, request)?;
             let mut car = Car::look(bench)?;
             let readings = watch_sensor(&mut car, |car| car.watch(seconds, "at neutral"))?;
             check_neutral(&readings, order)?;
@@ -148,11 +142,8 @@ fn watch_sensor(
 }
 
 fn check_neutral(readings: &[BoardReading], order: &str) -> Result<(), Trouble> {
-    let Some(last) = readings.last() else {
-        let found = "the board sent no telemetry";
-        let fix = "Check the serial line with `singletrack doctor`.";
-        return Err(failed(found, fix));
-    };
+    let last = readings.last();
+    let last = last.ok_or_else(|| failed("the board sent no telemetry", CHECK_LINE))?;
     let esc_us = last.esc_us;
     let found = format!("the motor turned at {esc_us} us with the ESC switched on {order}");
     let fix = "Calibrate the neutral of the ESC to 1500 us as its manual says (most learn it with \
@@ -162,7 +153,7 @@ fn check_neutral(readings: &[BoardReading], order: &str) -> Result<(), Trouble> 
 
 fn check_still(bench: &mut dyn Bench) -> Result<(), Trouble> {
     let text = "Did the driven wheels stand still all the time?";
-    let is_still = ask_yes(bench, "wheels-still", text)?;
+    let is_still = bench.ask_yes("wheels-still", text)?;
     let found = "the wheels turned at neutral, and no motor pulse came";
     let fix = "Calibrate the neutral of the ESC as its manual says. Check the pulse sensor.";
     require(is_still, found, fix)
@@ -192,7 +183,7 @@ const FROM_M_S: f64 = 0.65;
 const TIMES: u32 = 2;
 
 /// What pulses below neutral did.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Seen {
     /// The first and the second pulse below neutral at rest turned the wheels.
     at_rest: [bool; 2],
@@ -235,20 +226,19 @@ pub(super) fn find_kind(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         }
         at_speed(car, at_rest, brake_us)
     })?;
+    let [first, second] = seen.at_rest.map(|turned| match turned {
+        true => "turned the wheels",
+        false => "did not turn them",
+    });
+    let at_speed = match (seen.turned_round, seen.brakes()) {
+        (true, _) => "turned the wheels round",
+        (false, true) => "braked",
+        (false, false) => "did not brake",
+    };
     let found = format!(
-        "at rest the first pulse below neutral {}, the second {}; at speed it {}: the wheels \
-         stood after {:.2} m, after {:.2} m at neutral",
-        turned(seen.at_rest[0]),
-        turned(seen.at_rest[1]),
-        if seen.turned_round {
-            "turned the wheels round"
-        } else if seen.brakes() {
-            "braked"
-        } else {
-            "did not brake"
-        },
-        seen.braked_m,
-        seen.rolled_m
+        "at rest the first pulse below neutral {first}, the second {second}; at speed it \
+         {at_speed}: the wheels stood after {:.2} m, after {:.2} m at neutral",
+        seen.braked_m, seen.rolled_m
     );
     let Some(kind) = seen.kind() else {
         let found = format!("{found}; no pulse below neutral had an effect");
@@ -268,14 +258,6 @@ pub(super) fn find_kind(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let fix = "Write it by hand.";
     require(is_written, "board.esc.kind was not written", fix)?;
     Ok(Finding::good(format!("\"{kind}\": {found}")).with(parameters))
-}
-
-const fn turned(turned: bool) -> &'static str {
-    if turned {
-        "turned the wheels"
-    } else {
-        "did not turn them"
-    }
 }
 
 /// Whether the first and the second pulse below neutral turn wheels at rest.
@@ -298,9 +280,7 @@ fn at_speed(car: &mut Car<'_>, at_rest: [bool; 2], esc_us: u16) -> Result<Seen, 
     let brake = Jog { esc_us, ..rest };
     let mut seen = Seen {
         at_rest,
-        turned_round: false,
-        rolled_m: 0.0,
-        braked_m: 0.0,
+        ..Seen::default()
     };
     for _ in 0..TIMES {
         seen.rolled_m += slow_down(car, rest)?.0 / f64::from(TIMES);

@@ -19,7 +19,6 @@ mod stops;
 
 use self::{
     car::{Car, armed},
-    questions::ask_yes,
     spin::mean_speed,
 };
 use crate::{
@@ -109,7 +108,7 @@ const WATCHED_S: f64 = 2.0;
 fn find_stand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let text = "Put the car on a stand in view of the cameras, all wheels clear of everything, and \
                 take your hands off. Does it stand so?";
-    let is_on_stand = ask_yes(bench, "on-stand", text)?;
+    let is_on_stand = bench.ask_yes("on-stand", text)?;
     let fix = "Put a box under the chassis so that all wheels turn freely.";
     require(is_on_stand, "the car is not on a stand", fix)?;
     let mut car = Car::look(bench)?;

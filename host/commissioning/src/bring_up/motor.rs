@@ -10,7 +10,6 @@ use singletrack_protocol::{JOG_LIMIT_US, StopCause};
 
 use super::{
     car::{Car, armed},
-    questions::ask_word,
     spin::{CREEPS, SPIN_M_S, beyond, mean_speed, never_turned, way},
 };
 use crate::{
@@ -102,26 +101,28 @@ pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     };
     let text = "How did the driven wheels turn just now: as for driving forward, or backward?";
     let ways = &["forward", "backward", "stood"];
-    let seen = ask_word(bench, "driven-wheels", text, ways)?;
-    match (turned, seen) {
-        (Some(pulse_us), "forward") => Ok(Finding::good(format!(
-            "forward at {pulse_us} us, and the pulses count"
-        ))),
-        (Some(_), "backward") => Err(failed(
+    let seen = bench.ask_word("driven-wheels", text, ways)?;
+    let (found, fix) = match (turned, seen) {
+        (Some(pulse_us), "forward") => {
+            let found = format!("forward at {pulse_us} us, and the pulses count");
+            return Ok(Finding::good(found));
+        }
+        (Some(_), "backward") => (
             "a pulse above neutral drives backward",
             "Swap two of the motor's wires (brushless: any two; brushed: both), or reverse the \
              direction in the settings of the ESC.",
-        )),
-        (Some(_), _) => Err(failed(
+        ),
+        (Some(_), _) => (
             "motor pulses came, and the driven wheels did not turn",
             "Does the drive train slip? Is D2 connected to the motor's sensor, and no other wire?",
-        )),
-        (None, "stood") => Err(never_turned()),
-        (None, _) => Err(failed(
+        ),
+        (None, "stood") => return Err(never_turned()),
+        (None, _) => (
             "the wheels turned, and no motor pulse came",
             "Check the pulse sensor on D2: magnet, distance, supply.",
-        )),
-    }
+        ),
+    };
+    Err(failed(found, fix))
 }
 
 /// What pulses below neutral do.
@@ -252,7 +253,7 @@ fn curve(car: &mut Car<'_>, forward: bool) -> Result<Option<SpeedCurve>, Trouble
 fn levels(car: &mut Car<'_>, forward: bool, first: Jog) -> Result<Vec<[f64; 2]>, Trouble> {
     let rest = car.rest();
     let begin_us = rest.esc_us.abs_diff(first.esc_us);
-    let mut since = car.now()?;
+    let mut since = car.now;
     let mut levels: Vec<[f64; 2]> = Vec::new();
     // The first turn may be well beyond the edge: the pulses are far apart, or the step large.
     // The board ends a jog without a pulse for 0.6 s.
@@ -261,13 +262,9 @@ fn levels(car: &mut Car<'_>, forward: bool, first: Jog) -> Result<Vec<[f64; 2]>,
     let mut slowest_us = begin_us;
     let mut drop = STEEPEST_M_S_PER_US * f64::from(SLOWER_US);
     loop {
-        let speed = settled(car, &mut since, forward, slowest_us)?;
-        if let Some([_, before]) = levels.last() {
-            drop = before - speed;
-        }
-        if speed >= SLOWEST {
-            levels.push([slowest_us.into(), speed]);
-        }
+        let before = levels.last().map(|[_, speed]| *speed);
+        let speed = settled(car, &mut since, forward, slowest_us, &mut levels)?;
+        drop = before.map_or(drop, |before| before - speed);
         if speed - drop < slowest || slowest_us < SLOWER_US + 4 {
             break;
         }
@@ -277,9 +274,8 @@ fn levels(car: &mut Car<'_>, forward: bool, first: Jog) -> Result<Vec<[f64; 2]>,
     let mut last: Option<(u16, f64)> = levels.first().map(|[_, speed]| (begin_us, *speed));
     let mut way_up = vec![begin_us];
     while offset_us <= JOG_LIMIT_US && way_up.len() < MOST_LEVELS {
-        let speed = settled(car, &mut since, forward, offset_us)?;
+        let speed = settled(car, &mut since, forward, offset_us, &mut levels)?;
         if speed >= SLOWEST {
-            levels.push([offset_us.into(), speed]);
             way_up.push(offset_us);
         }
         if speed >= FASTEST {
@@ -296,31 +292,34 @@ fn levels(car: &mut Car<'_>, forward: bool, first: Jog) -> Result<Vec<[f64; 2]>,
         offset_us += step_us;
     }
     for offset_us in way_up.into_iter().rev() {
-        let speed = settled(car, &mut since, forward, offset_us)?;
-        if speed >= SLOWEST {
-            levels.push([offset_us.into(), speed]);
-        }
+        settled(car, &mut since, forward, offset_us, &mut levels)?;
     }
     car.hold_until_standing(rest, 0.8)?;
     Ok(levels)
 }
 
-/// The settled speed at this pulse, m/s, after a rest if the motor has been driven for long.
+/// The settled speed at this pulse, m/s, after a rest if the motor has been driven for long. It is one
+/// of the levels, if the wheels turn well.
 fn settled(
     car: &mut Car<'_>,
     since: &mut Time,
     forward: bool,
     offset_us: u16,
+    levels: &mut Vec<[f64; 2]>,
 ) -> Result<f64, Trouble> {
     let rest = car.rest();
-    if car.now()?.seconds_since(*since) > DRIVEN_S - SETTLE_S - MEASURE_S {
+    if car.now.seconds_since(*since) > DRIVEN_S - SETTLE_S - MEASURE_S {
         car.hold_until_standing(rest, 0.8)?;
-        *since = car.now()?;
+        *since = car.now;
     }
     let esc_us = beyond(rest.esc_us, offset_us, forward);
     let jog = Jog { esc_us, ..rest };
     car.hold(jog, SETTLE_S, "settling")?;
-    Ok(mean_speed(&car.hold(jog, MEASURE_S, "measuring")?))
+    let speed = mean_speed(&car.hold(jog, MEASURE_S, "measuring")?);
+    if speed >= SLOWEST {
+        levels.push([offset_us.into(), speed]);
+    }
+    Ok(speed)
 }
 
 /// Pulse below neutral beyond which a turning motor is braked, us, from how much harder it

@@ -7,47 +7,45 @@ use std::borrow::Cow;
 
 use crate::{Answer, Answers, Bench, Question, Trouble};
 
-/// Asks a question.
-pub(super) fn ask(
-    bench: &mut dyn Bench,
-    id: &'static str,
-    text: impl Into<Cow<'static, str>>,
-    answers: Answers,
-) -> Result<Answer, Trouble> {
-    let text = text.into();
-    match bench.ask(&Question { id, text, answers })? {
-        Answer::Skip => Err(Trouble::Skipped),
-        answer => Ok(answer),
+impl dyn Bench + '_ {
+    /// Asks a question.
+    pub(super) fn answer(
+        &mut self,
+        id: &'static str,
+        text: impl Into<Cow<'static, str>>,
+        answers: Answers,
+    ) -> Result<Answer, Trouble> {
+        let text = text.into();
+        match self.ask(&Question { id, text, answers })? {
+            Answer::Skip => Err(Trouble::Skipped),
+            answer => Ok(answer),
+        }
     }
-}
 
-/// Waits until the operator is ready to do this, or has done it.
-pub(super) fn ready(
-    bench: &mut dyn Bench,
-    id: &'static str,
-    request: &'static str,
-) -> Result<(), Trouble> {
-    ask(bench, id, request, Answers::Begin).map(drop)
-}
+    /// Waits until the operator is ready to do this, or has done it.
+    pub(super) fn ready(&mut self, id: &'static str, request: &'static str) -> Result<(), Trouble> {
+        self.answer(id, request, Answers::Begin).map(drop)
+    }
 
-/// Asks for yes or no.
-pub(super) fn ask_yes(
-    bench: &mut dyn Bench,
-    id: &'static str,
-    text: impl Into<Cow<'static, str>>,
-) -> Result<bool, Trouble> {
-    Ok(ask(bench, id, text, Answers::YesNo)? == Answer::YesNo(true))
-}
+    /// Asks for yes or no.
+    pub(super) fn ask_yes(
+        &mut self,
+        id: &'static str,
+        text: impl Into<Cow<'static, str>>,
+    ) -> Result<bool, Trouble> {
+        Ok(self.answer(id, text, Answers::YesNo)? == Answer::YesNo(true))
+    }
 
-/// Asks for one of several words.
-pub(super) fn ask_word(
-    bench: &mut dyn Bench,
-    id: &'static str,
-    text: &'static str,
-    words: &'static [&'static str],
-) -> Result<&'static str, Trouble> {
-    match ask(bench, id, text, Answers::Choice(words))? {
-        Answer::Choice(index) => words.get(index).copied().ok_or(Trouble::Skipped),
-        _ => Err(Trouble::Skipped),
+    /// Asks for one of several words.
+    pub(super) fn ask_word(
+        &mut self,
+        id: &'static str,
+        text: &'static str,
+        words: &'static [&'static str],
+    ) -> Result<&'static str, Trouble> {
+        match self.answer(id, text, Answers::Choice(words))? {
+            Answer::Choice(index) => words.get(index).copied().ok_or(Trouble::Skipped),
+            _ => Err(Trouble::Skipped),
+        }
     }
 }

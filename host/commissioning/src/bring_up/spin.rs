@@ -33,12 +33,12 @@ impl Car<'_> {
             return Ok(None);
         };
         let highest = jog.esc_us.max(self.rest().esc_us + JOG_LIMIT_US);
-        let begin = self.now()?;
+        let begin = self.now;
         let mut before = 0.0;
         loop {
             let readings = self.hold(jog, 0.4, "spinning up")?;
             let speed = mean_speed(&readings[readings.len() / 2..]);
-            let late = self.now()?.seconds_since(begin) > 5.0;
+            let late = self.now.seconds_since(begin) > 5.0;
             if speed >= wanted || late || jog.esc_us >= highest {
                 return Ok(Some(jog));
             }
@@ -60,9 +60,9 @@ impl Car<'_> {
         let first = self.first_turn(true, from_us)?;
         let mut jog = first.ok_or_else(never_turned)?;
         let highest = self.rest().esc_us + JOG_LIMIT_US;
-        let begin = self.now()?;
+        let begin = self.now;
         let mut spun = Spun::default();
-        while self.now()?.seconds_since(begin) < seconds {
+        while self.now.seconds_since(begin) < seconds {
             let held = self.hold_until(jog, 0.1, what, |reading| !reading.turns());
             match held {
                 Ok(readings) => spun.readings.extend(readings),

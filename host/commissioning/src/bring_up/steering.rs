@@ -3,10 +3,9 @@
 //! An angle is read while the car is disarmed: the board leaves the servo where it was. The
 //! end stops are only touched: the servo is back before the operator answers.
 
-use super::{
-    car::{Car, armed},
-    questions::{ask, ask_word, ask_yes},
-};
+use singletrack_core::config::ServoSection;
+
+use super::car::{Car, armed};
 use crate::{
     Answer, Answers, Bench, BoardReading, Finding, Interval, Jog, Parameter, Trouble,
     calibrate::bends::straight_line,
@@ -62,9 +61,9 @@ fn turn(car: &mut Car<'_>, pulse_us: u16, us_per_s: f64) -> Result<(), Trouble> 
     let rest = car.rest();
     let from = f64::from(rest.servo_us);
     let way = f64::from(pulse_us) - from;
-    let begin = car.now()?;
+    let begin = car.now;
     loop {
-        let part = car.now()?.seconds_since(begin) * us_per_s / way.abs().max(1.0);
+        let part = car.now.seconds_since(begin) * us_per_s / way.abs().max(1.0);
         let arrived = part >= 1.0;
         let servo_us = (from + way * part.min(1.0)).round() as u16;
         let jog = Jog { servo_us, ..rest };
@@ -98,7 +97,7 @@ fn swapped(car: &mut Car<'_>, jog: Jog) -> Trouble {
 fn see(bench: &mut dyn Bench) -> Result<i32, Trouble> {
     let text = "Look from behind the car, in the direction of driving: where do the front wheels \
                 point?";
-    let side = ask_word(bench, "front-wheels", text, &["left", "straight", "right"])?;
+    let side = bench.ask_word("front-wheels", text, &["left", "straight", "right"])?;
     Ok(match side {
         "left" => 1,
         "right" => -1,
@@ -114,7 +113,7 @@ pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     for attempt in 1.. {
         let way = i32::from(SHOWN_US) * attempt;
         for (seen, sign) in seen.iter_mut().zip([1, -1]) {
-            let pulse_us = limited(servo.min_us, servo.max_us, centre + sign * way);
+            let pulse_us = limited(&servo, centre + sign * way);
             armed(bench, |car| turn(car, pulse_us, CREEP_US_PER_S))?;
             *seen = sign * see(bench)?;
         }
@@ -134,8 +133,9 @@ pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if sign == believed {
         return Ok(Finding::good(found));
     }
-    let gain = -i64::from(servo.gain_us_per_rad);
-    change_servo(bench, vec![("board.servo.gain_us_per_rad", gain.into())])?;
+    let gain = -servo.gain_us_per_rad;
+    let values = vec![("board.servo.gain_us_per_rad", i64::from(gain).into())];
+    change_servo(bench, values, |servo| servo.gain_us_per_rad = gain)?;
     let found = format!("{found}; board.servo.gain_us_per_rad had the other sign");
     Ok(Finding::warning(found, "None: its sign was changed."))
 }
@@ -153,8 +153,8 @@ fn find_straight(bench: &mut dyn Bench, begin: i32, from: i32) -> Result<[f64; 2
         let found = "the answers about the front wheels contradict each other";
         let fix = "Mark straight on with a ruler along the front wheels, and look again.";
         require(answers <= CENTRE_ANSWERS, found, fix)?;
-        let before = limited(servo.min_us, servo.max_us, pulse + from * 60);
-        let pulse = limited(servo.min_us, servo.max_us, pulse);
+        let before = limited(&servo, pulse + from * 60);
+        let pulse = limited(&servo, pulse);
         armed(bench, |car| {
             turn(car, before, TURN_US_PER_S)?;
             turn(car, pulse, TURN_US_PER_S)
@@ -164,29 +164,19 @@ fn find_straight(bench: &mut dyn Bench, begin: i32, from: i32) -> Result<[f64; 2
     };
     let mut edges = [0.0; 2];
     for (edge, side) in edges.iter_mut().zip([-1, 1]) {
-        // Where the wheels are seen on this side, or not.
         let mut pulse = begin;
-        let mut was = None;
-        let mut steps = CENTRE_STEPS_US.into_iter();
-        let Some(mut step) = steps.next() else {
-            continue;
-        };
-        loop {
-            let beyond = look(bench, pulse)? == side;
-            if was.is_some_and(|was| was != beyond) {
-                match steps.next() {
-                    Some(next) => step = next,
-                    None => {
-                        // Between this pulse and the one before.
-                        let back = if beyond { -side } else { side };
-                        *edge = f64::from(pulse) + f64::from(back * step) / 2.0;
-                        break;
-                    }
-                }
+        // Whether the wheels are seen on this side.
+        let mut beyond = look(bench, pulse)? == side;
+        for step in CENTRE_STEPS_US {
+            let was = beyond;
+            while beyond == was {
+                pulse += if beyond { -side * step } else { side * step };
+                beyond = look(bench, pulse)? == side;
             }
-            was = Some(beyond);
-            pulse += if beyond { -side * step } else { side * step };
         }
+        // Between this pulse and the one before.
+        let back = if beyond { -side } else { side };
+        *edge = f64::from(pulse) + f64::from(back * CENTRE_STEPS_US[3]) / 2.0;
     }
     Ok(edges)
 }
@@ -201,14 +191,16 @@ pub(super) fn centre(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let play = (others - middle).abs();
     let gain = f64::from(servo.gain_us_per_rad.unsigned_abs()) * GAIN_UNKNOWN;
     let half = EYE_RAD * gain + play / 2.0 + f64::from(CENTRE_STEPS_US[3]) / 2.0;
-    let centre_us = limited(servo.min_us, servo.max_us, centre.round() as i32);
+    let centre_us = limited(&servo, centre.round() as i32);
     turn_to(bench, centre_us)?;
     let estimate = Interval::around(centre, half);
     let parameters = vec![
         Parameter::new("servo-centre", "us", estimate)
             .written("board.servo.centre_us", i64::from(centre_us)),
     ];
-    change_servo(bench, keys(&parameters))?;
+    change_servo(bench, keys(&parameters), |servo| {
+        servo.centre_us = centre_us
+    })?;
     let wide = (up[1] - up[0]).abs().max((down[1] - down[0]).abs());
     let found = format!(
         "straight on at {centre:.0} us, known to {half:.0} us; it looks straight over {wide:.0} us, and \
@@ -222,8 +214,8 @@ pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let servo = bench.configuration().board.servo;
     let centre = i32::from(servo.centre_us);
     let touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
-        let pulse_us = limited(servo.min_us, servo.max_us, pulse);
-        let back = limited(servo.min_us, servo.max_us, i32::midpoint(centre, pulse));
+        let pulse_us = limited(&servo, pulse);
+        let back = limited(&servo, i32::midpoint(centre, pulse));
         armed(bench, |car| {
             turn(car, pulse_us, TURN_US_PER_S)?;
             turn(car, back, TURN_US_PER_S)
@@ -232,40 +224,34 @@ pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             "The servo was at {pulse_us} us for a moment. Did it buzz, or did the wheels not \
              follow to the end?"
         );
-        ask_yes(bench, "at-stop", text)
+        bench.ask_yes("at-stop", text)
     };
-    let mut limits = [(i32::from(servo.min_us), None), (servo.max_us.into(), None)];
-    for ((limit, stop), sign) in limits.iter_mut().zip([-1, 1]) {
-        let farthest = *limit;
+    let mut search = |sign: i32, farthest: u16| -> Result<(i32, Option<i32>), Trouble> {
         let mut free = centre;
         let mut pulse = centre + sign * STOPS_FROM_US;
-        loop {
-            pulse = limited(servo.min_us, servo.max_us, pulse).into();
+        let stop = loop {
+            pulse = limited(&servo, pulse).into();
             if touches(bench, pulse)? {
-                *stop = Some(pulse);
-                break;
+                break pulse;
             }
             free = pulse;
-            if pulse == farthest {
-                break;
+            if pulse == i32::from(farthest) {
+                return Ok((free, None));
             }
             pulse += sign * STOPS_STEP_US;
-        }
+        };
         // Halve the last step once.
-        if let Some(at) = *stop {
-            let middle = i32::midpoint(free, at);
-            if (at - free).abs() > STOPS_STEP_US / 2 && free != centre {
-                if touches(bench, middle)? {
-                    *stop = Some(middle);
-                } else {
-                    free = middle;
-                }
-            }
-        }
-        *limit = free;
-    }
+        let middle = i32::midpoint(free, stop);
+        let is_wide = (stop - free).abs() > STOPS_STEP_US / 2 && free != centre;
+        Ok(match is_wide && touches(bench, middle)? {
+            true => (free, Some(middle)),
+            false if is_wide => (middle, Some(stop)),
+            false => (free, Some(stop)),
+        })
+    };
+    let (min, below) = search(-1, servo.min_us)?;
+    let (max, above) = search(1, servo.max_us)?;
     turn_to(bench, servo.centre_us)?;
-    let [(min, below), (max, above)] = limits;
     let is_free = centre - min >= STOPS_FROM_US && max - centre >= STOPS_FROM_US;
     let found = format!("an end stop is within {STOPS_FROM_US} us of the centre");
     let fix =
@@ -280,7 +266,9 @@ pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         parameter("servo-min", "board.servo.min_us", min, below),
         parameter("servo-max", "board.servo.max_us", max, above),
     ];
-    change_servo(bench, keys(&parameters))?;
+    change_servo(bench, keys(&parameters), |servo| {
+        (servo.min_us, servo.max_us) = (min as u16, max as u16);
+    })?;
     let said = |stop: Option<i32>| match stop {
         Some(stop) => format!("stop at {stop} us"),
         None => "no stop".into(),
@@ -304,12 +292,12 @@ pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     // There and back, so that play cancels.
     for part in READ_AT.into_iter().chain(READ_AT.into_iter().rev()) {
         let pulse = centre + (part * f64::from(range)).round() as i32;
-        turn_to(bench, limited(servo.min_us, servo.max_us, pulse))?;
+        turn_to(bench, limited(&servo, pulse))?;
         let answers = Answers::Number {
             unit: "deg",
             range: [-60.0, 60.0],
         };
-        let Answer::Number(degrees) = ask(bench, "wheel-angle", text, answers)? else {
+        let Answer::Number(degrees) = bench.answer("wheel-angle", text, answers)? else {
             return Err(Trouble::Skipped);
         };
         readings.push([f64::from(pulse), degrees.to_radians()]);
@@ -340,7 +328,9 @@ pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         Parameter::new("servo-gain", "us/rad", gain)
             .written("board.servo.gain_us_per_rad", rounded as i64),
     ];
-    change_servo(bench, keys(&parameters))?;
+    change_servo(bench, keys(&parameters), |servo| {
+        servo.gain_us_per_rad = rounded as i16;
+    })?;
     let found = format!(
         "{:.0} us/rad, {:.0} to {:.0}; the readings scatter by {:.1} degrees and say straight on \
          at {:.0} us",
@@ -354,49 +344,33 @@ pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     Ok(Finding::warning_if(scatter > 0.07, found, fix).with(parameters))
 }
 
-/// Puts values of the servo in force, and lowers the steering limit to what they reach.
+/// Puts values of the servo in force, and lowers the steering limit to what it reaches as it is
+/// `changed` by them.
 fn change_servo(
     bench: &mut dyn Bench,
     mut values: Vec<(&str, toml_edit::Value)>,
+    changed: impl FnOnce(&mut ServoSection),
 ) -> Result<(), Trouble> {
     let config = bench.configuration();
-    let servo = config.board.servo;
+    let mut new = config.board.servo;
+    changed(&mut new);
     let limit = config.limits.max_steering_rad;
-    let new = |key: &str, old: i64| {
-        let new = values.iter().find(|(name, _)| name.ends_with(key));
-        let new = new.and_then(|(_, value)| value.as_integer());
-        new.unwrap_or(old) as f64
-    };
-    let reach = |centre: f64, gain: f64, min: f64, max: f64| {
-        let rad = (centre - min).min(max - centre) / gain.abs();
+    let reach = |servo: &ServoSection| {
+        let [centre, min, max] = [servo.centre_us, servo.min_us, servo.max_us].map(f64::from);
+        let rad = (centre - min).min(max - centre) / f64::from(servo.gain_us_per_rad).abs();
         // Written with three digits.
         (rad * 1e3).floor() / 1e3
     };
-    let before = reach(
-        servo.centre_us.into(),
-        servo.gain_us_per_rad.into(),
-        servo.min_us.into(),
-        servo.max_us.into(),
-    );
-    let centre_us = new("centre_us", servo.centre_us.into());
-    let gain_us_per_rad = new("gain_us_per_rad", servo.gain_us_per_rad.into());
-    let ends_us = [
-        new("min_us", servo.min_us.into()),
-        new("max_us", servo.max_us.into()),
-    ];
-    let after = reach(centre_us, gain_us_per_rad, ends_us[0], ends_us[1]);
     // A limit that an earlier step lowered may rise again with the gain.
-    let is_lowered = (limit - before).abs() < 1e-9;
-    let wanted = if is_lowered {
-        limit.max(USUAL_STEERING_RAD)
-    } else {
-        limit
+    let is_lowered = (limit - reach(&config.board.servo)).abs() < 1e-9;
+    let wanted = match is_lowered {
+        true => limit.max(USUAL_STEERING_RAD),
+        false => limit,
     };
-    let limited = wanted.min(after);
+    let limited = wanted.min(reach(&new));
     // A table was that of another servo. The calibration measures it again.
     if config.actuators.steering_table.is_some() {
-        let line = straight_line(centre_us, gain_us_per_rad, ends_us);
-        values.push(("actuators.steering_table", line));
+        values.push(("actuators.steering_table", straight_line(&new)));
     }
     if (limited - limit).abs() > 1e-9 {
         values.push(("limits.max_steering_rad", limited.into()));
@@ -404,6 +378,6 @@ fn change_servo(
     change(bench, &values)
 }
 
-fn limited(min_us: u16, max_us: u16, pulse: i32) -> u16 {
-    pulse.clamp(min_us.into(), max_us.into()) as u16
+fn limited(servo: &ServoSection, pulse: i32) -> u16 {
+    pulse.clamp(servo.min_us.into(), servo.max_us.into()) as u16
 }

@@ -9,8 +9,7 @@ use singletrack_control::Time;
 use singletrack_protocol::ResetCause;
 
 use super::{
-    car::{Car, armed},
-    questions::{ask_word, ready},
+    car::{CHECK_LINE, Car, armed},
     spin::{SPIN_M_S, Spun, mean_speed},
 };
 use crate::{
@@ -58,15 +57,15 @@ struct Stop {
     speed: f64,
 }
 
-/// Turns the motor at about 0.5 m/s; returns the speed.
-fn turn(car: &mut Car<'_>) -> Result<f64, Trouble> {
+/// Turns the motor at about 0.5 m/s, and watches how this request stops it.
+fn stopped<'a>(
+    car: &mut Car<'a>,
+    request: fn(&mut Car<'a>) -> Result<(), Trouble>,
+) -> Result<Stop, Trouble> {
     let jog = car.spin(SPIN_M_S)?;
-    Ok(mean_speed(&car.hold(jog, 0.4, "turning")?))
-}
-
-/// Watches a stop that began now.
-fn watch(car: &mut Car<'_>, speed: f64) -> Result<Stop, Trouble> {
-    let begin = car.now()?;
+    let speed = mean_speed(&car.hold(jog, 0.4, "turning")?);
+    request(car)?;
+    let begin = car.now;
     let readings = car.watch(WATCHED_S, "stopping")?;
     Ok(evaluate(car, &readings, begin, speed))
 }
@@ -74,18 +73,15 @@ fn watch(car: &mut Car<'_>, speed: f64) -> Result<Stop, Trouble> {
 fn evaluate(car: &mut Car<'_>, readings: &[BoardReading], begin: Time, speed: f64) -> Stop {
     let board = car.bench().configuration().board;
     let is_neutral = |reading: &&BoardReading| {
-        reading.esc_us == 0
-            || reading.esc_us.abs_diff(board.esc.neutral_us) <= board.esc.deadband_us
-            || reading.esc_us == 1_500
+        reading.esc_us.abs_diff(board.esc.neutral_us) <= board.esc.deadband_us
+            || [0, 1_500].contains(&reading.esc_us)
     };
     let neutral = readings.iter().find(is_neutral);
     let neutral = neutral.map(|reading| reading.receive);
     let slower = neutral.and_then(|neutral| {
-        readings
-            .iter()
-            .filter(|reading| reading.receive >= neutral)
-            .find(|reading| reading.motor_speed.abs() < SLOWER * speed)
-            .map(|reading| reading.receive.seconds_since(neutral))
+        let mut later = readings.iter().filter(|reading| reading.receive >= neutral);
+        let slower = later.find(|reading| reading.motor_speed.abs() < SLOWER * speed)?;
+        Some(slower.receive.seconds_since(neutral))
     });
     Stop {
         pulse_s: neutral.map(|neutral| neutral.seconds_since(begin)),
@@ -125,19 +121,12 @@ impl Stop {
 }
 
 pub(super) fn silence(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let stop = armed(bench, |car| {
-        let speed = turn(car)?;
-        watch(car, speed)
-    })?;
+    let stop = armed(bench, |car| stopped(car, |_| Ok(())))?;
     stop.finding("stop-silence", HOLD_S + PULSE_WITHIN_S)
 }
 
 pub(super) fn disarm(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let stop = armed(bench, |car| {
-        let speed = turn(car)?;
-        car.request_disarm()?;
-        watch(car, speed)
-    })?;
+    let stop = armed(bench, |car| stopped(car, Car::request_disarm))?;
     stop.finding("stop-disarm", PULSE_WITHIN_S)
 }
 
@@ -147,7 +136,7 @@ pub(super) fn switch(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         return Ok(Finding::new(Verdict::Skipped, found, ""));
     }
     let request = "The wheels will turn. Press the stop switch a second after they begin. Ready?";
-    ready(bench, "open-switch", request)?;
+    bench.ready("open-switch", request)?;
     let mut car = Car::look(bench)?;
     car.arm()?;
     let spun = spin_for_hand(&mut car, "press the stop switch")?;
@@ -157,21 +146,23 @@ pub(super) fn switch(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     require(car.is_latched(), found, fix)?;
     let mut readings: Vec<BoardReading> = first.into_iter().collect();
     // The time counts from the record with the mode: the hand gives no time stamp.
-    let noticed = match first {
-        Some(reading) => reading.receive,
-        None => car.now()?,
-    };
+    let noticed = first.map_or(car.now, |reading| reading.receive);
     readings.extend(car.watch(WATCHED_S, "stopping")?);
     let stop = evaluate(&mut car, &readings, noticed, spun.last_speed());
     let request = "Release the stop switch and press the reset of the board. Done?";
-    ready(bench, "close-switch", request)?;
+    bench.ready("close-switch", request)?;
     stop.finding("stop-switch", PULSE_WITHIN_S)
 }
 
 pub(super) fn emergency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let stop = by_request(bench)?;
+    let mut car = Car::look(bench)?;
+    car.arm()?;
+    let stop = stopped(&mut car, Car::request_emergency_stop)?;
+    let found = "the board is not latched after an emergency stop";
+    let fix = "Cut the supply of the ESC. See the log of the daemon.";
+    require(car.is_latched(), found, fix)?;
     let request = "Press the reset of the board: the emergency stop is latched until then. Done?";
-    ready(bench, "clear-latch", request)?;
+    bench.ready("clear-latch", request)?;
     // A bootloader may wait for longer than the operator.
     unlatched(bench)?;
     stop.finding("stop-emergency", PULSE_WITHIN_S)
@@ -181,26 +172,14 @@ pub(super) fn emergency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 fn unlatched(bench: &mut dyn Bench) -> Result<(), Trouble> {
     const PATIENCE_S: f64 = 15.0;
     let mut car = Car::look(bench)?;
-    let begin = car.now()?;
+    let begin = car.now;
     while car.board.is_none() || car.is_latched() {
-        let waited_s = car.now()?.seconds_since(begin);
+        let waited_s = car.now.seconds_since(begin);
         let fix = "Press the reset button of the board, and run this step again.";
         require(waited_s <= PATIENCE_S, "the board is still latched", fix)?;
         car.watch(0.1, "the board starts")?;
     }
     Ok(())
-}
-
-fn by_request(bench: &mut dyn Bench) -> Result<Stop, Trouble> {
-    let mut car = Car::look(bench)?;
-    car.arm()?;
-    let speed = turn(&mut car)?;
-    car.request_emergency_stop()?;
-    let stop = watch(&mut car, speed)?;
-    let found = "the board is not latched after an emergency stop";
-    let fix = "Cut the supply of the ESC. See the log of the daemon.";
-    require(car.is_latched(), found, fix)?;
-    Ok(stop)
 }
 
 /// Turns the motor until a hand stops it.
@@ -226,7 +205,7 @@ pub(super) fn unplug(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let request =
         "The wheels will turn. Pull the USB cable of the board a second after they begin. Ready?";
     let before = unheard(bench, "unplug", request)?;
-    ready(bench, "plug-in", "Plug the USB cable in again. Done?")?;
+    bench.ready("plug-in", "Plug the USB cable in again. Done?")?;
     Car::wait_for_board(bench)?;
     let mut car = Car::look(bench)?;
     car.watch(0.5, "the board reports")?;
@@ -248,18 +227,15 @@ pub(super) fn unplug(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 /// Whether the board had power since `before`: its clock went on, or its restart was none of
 /// power. (Opening the port resets an UNO.)
 fn kept_power(before: Option<BoardReading>, car: &Car<'_>) -> Result<bool, Trouble> {
-    let fix = "Check the serial line with `singletrack doctor`.";
     let (Some(before), Some(now), Some(status)) = (before, car.board, car.status) else {
-        return Err(failed("the board does not report how it was reset", fix));
+        let found = "the board does not report how it was reset";
+        return Err(failed(found, CHECK_LINE));
     };
     let passed_s = now.receive.seconds_since(before.receive);
     let counted_s = f64::from(now.board_us.wrapping_sub(before.board_us)) * 1e-6;
     let goes_on = (counted_s - passed_s).abs() < 0.1 + 0.02 * passed_s;
-    let lost = matches!(
-        status.reset_cause,
-        ResetCause::PowerOn | ResetCause::BrownOut
-    );
-    Ok(goes_on || !lost)
+    let of_power = [ResetCause::PowerOn, ResetCause::BrownOut];
+    Ok(goes_on || !of_power.contains(&status.reset_cause))
 }
 
 /// A stop after which the board sends nothing; returns the last telemetry before.
@@ -268,7 +244,7 @@ fn unheard(
     id: &'static str,
     request: &'static str,
 ) -> Result<Option<BoardReading>, Trouble> {
-    ready(bench, id, request)?;
+    bench.ready(id, request)?;
     let mut car = Car::look(bench)?;
     car.arm()?;
     let spun = spin_for_hand(&mut car, "now, by hand")?;
@@ -285,19 +261,19 @@ fn unheard(
 fn stopped_how(bench: &mut dyn Bench) -> Result<&'static str, Trouble> {
     let text = "Did the motor stop driving at once (the wheels may roll on), later (it drove on \
                 for half a second or more), or not?";
-    ask_word(bench, "stopped-how", text, &["at-once", "late", "not"])
+    bench.ask_word("stopped-how", text, &["at-once", "late", "not"])
 }
 
 fn by_eye(seen: &str, at_once: &'static str, fix: &'static str) -> Result<Finding, Trouble> {
     match seen {
         "at-once" => Ok(Finding::good(at_once)),
-        "late" => Ok(Finding::warning(
-            "the motor drove on for a while without pulses",
-            fix,
-        )),
-        _ => Err(failed(
-            "the motor drove on without pulses",
-            "Cut the supply of the ESC, and do not use it: it must stop without pulses.",
-        )),
+        "late" => {
+            let found = "the motor drove on for a while without pulses";
+            Ok(Finding::warning(found, fix))
+        }
+        _ => {
+            let fix = "Cut the supply of the ESC, and do not use it: it must stop without pulses.";
+            Err(failed("the motor drove on without pulses", fix))
+        }
     }
 }

@@ -313,9 +313,12 @@ fn identified(
         values.push(("limits.max_steering_rad", reach.into()));
     }
     if bent.is_none() && config.actuators.steering_table.is_some() {
-        let ends = [servo.min_us, servo.max_us].map(f64::from);
-        let line = straight_line(straight_us.round(), gain.value.round(), ends);
-        values.push(("actuators.steering_table", line));
+        let new = ServoSection {
+            centre_us: straight_us.round() as u16,
+            gain_us_per_rad: gain.value.round() as i16,
+            ..*servo
+        };
+        values.push(("actuators.steering_table", straight_line(&new)));
     }
     let is_doubtful =
         (gain.value / f64::from(believed.board.servo.gain_us_per_rad) - 1.0).abs() > 0.25;
@@ -450,15 +453,12 @@ impl Bent {
     }
 }
 
-/// The table of a straight line with this centre in µs and gain in µs/rad, between two pulses: it takes
-/// the place of one that holds no more.
-pub(crate) fn straight_line(
-    centre_us: f64,
-    gain_us_per_rad: f64,
-    [min_us, max_us]: [f64; 2],
-) -> toml_edit::Value {
-    let angle = |pulse_us: f64| round((pulse_us - centre_us) / gain_us_per_rad, 4);
-    pairs([min_us, max_us].map(|pulse_us| [pulse_us, angle(pulse_us)]))
+/// The table of this servo with a straight line: it takes the place of one that holds no more.
+pub(crate) fn straight_line(servo: &ServoSection) -> toml_edit::Value {
+    let (centre, gain) = (f64::from(servo.centre_us), f64::from(servo.gain_us_per_rad));
+    let angle = |pulse_us: f64| round((pulse_us - centre) / gain, 4);
+    let ends_us = [servo.min_us, servo.max_us].map(f64::from);
+    pairs(ends_us.map(|pulse_us| [pulse_us, angle(pulse_us)]))
 }
 
 /// Pairs of pulse and angle as TOML.

@@ -8,9 +8,9 @@ use singletrack_core::Config;
 
 use super::floor::{self, Drive, Figure, SLOW, round};
 use crate::{
-    Bench, Finding, Parameter, Plot, PlotKind, PlotLine, Trouble, Verdict,
+    Bench, Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Trouble, Verdict,
     finding::{change, failed, keys},
-    fit::{self, DriveTrain, Motion},
+    fit::{self, DriveTrain},
 };
 
 /// The lower speed, m/s.
@@ -58,7 +58,7 @@ pub(super) fn speed(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         .map(|index| drive.when(approach + LASTS * index as f64))
         .collect();
     let config = bench.configuration();
-    let (motion, way) = moved(config, &drive);
+    let ways = ways(config, &drive);
     let pulses = drive.readings.esc();
     let esc = &config.board.esc;
     let edge = f64::from(esc.neutral_us) + f64::from(esc.deadband_us);
@@ -67,24 +67,19 @@ pub(super) fn speed(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         edge,
     ];
     let within = |from: f64, to: f64| {
-        let first = motion.time.partition_point(|time| *time < from);
-        let last = motion.time.partition_point(|time| *time < to);
-        first..last.max(first)
+        let ways = &ways[ways.partition_point(|[time, _]| *time < from)..];
+        &ways[..ways.partition_point(|[time, _]| *time < to)]
     };
     let rolls: Vec<f64> = (1..RISES)
         .filter_map(|index| {
             // From the first pulse that does not drive until the next one that does.
             let fall = starts[2 * index];
             let free = |time: f64| pulses.at(time) <= edge;
-            let steps = (0..100).map(|step| fall + 0.01 * f64::from(step));
-            let from = steps.clone().find(|time| free(*time))?;
-            let to = steps
-                .clone()
-                .find(|time| *time > from && !free(*time))
-                .unwrap_or(fall + 1.0);
+            let mut steps = (0..100).map(|step| fall + 0.01 * f64::from(step));
+            let from = steps.find(|time| free(*time))?;
+            let to = steps.find(|time| !free(*time)).unwrap_or(fall + 1.0);
             // Both take effect later.
-            let range = within(from + 0.07, to + 0.02);
-            fit::deceleration(&motion.time[range.clone()], &way[range])
+            fit::deceleration(within(from + 0.07, to + 0.02))
         })
         .filter(|roll| (0.05..6.0).contains(roll))
         .collect();
@@ -92,18 +87,17 @@ pub(super) fn speed(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let rises: Vec<DriveTrain> = (0..RISES)
         .filter_map(|index| {
             let rise = starts[2 * index + 1];
-            let range = within(rise - LOOK[0], rise + LOOK[1]);
-            let time = &motion.time[range.clone()];
-            fit::drive_train(time, &way[range], &pulses, [LOW, SLOW], about, rolling)
+            let ways = within(rise - LOOK[0], rise + LOOK[1]);
+            fit::drive_train(ways, &pulses, [LOW, SLOW], about, rolling)
         })
         .filter(|rise| rise.lag < 0.5 && rise.delay < 0.18)
         .collect();
-    plot(bench, &motion, &way, &starts);
+    plot(bench, &ways, &starts);
     finding(bench, &rises, &rolls)
 }
 
 /// The speeds around all rises, over each other, and their mean.
-fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
+fn plot(bench: &mut dyn Bench, ways: &[[f64; 2]], starts: &[f64]) {
     /// Poses between which a speed is taken.
     const APART: usize = 4;
     /// Over which time the mean is taken, s.
@@ -112,11 +106,11 @@ fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
     let mut sums = vec![[0.0; 3]; bins];
     let mut points = Vec::new();
     for rise in starts.iter().skip(1).step_by(2) {
-        for index in APART..motion.time.len() {
-            let (begin, end) = (motion.time[index - APART], motion.time[index]);
+        for pair in ways.windows(APART + 1) {
+            let ([begin, from], [end, to]) = (pair[0], pair[APART]);
             let time = f64::midpoint(begin, end) - rise;
             if (-LOOK[0]..LOOK[1]).contains(&time) {
-                let speed = (way[index] - way[index - APART]) / (end - begin);
+                let speed = (to - from) / (end - begin);
                 points.push([time, speed]);
                 if let Some(sum) = sums.get_mut(((time + LOOK[0]) / BIN) as usize) {
                     *sum = [sum[0] + time, sum[1] + speed, sum[2] + 1.0];
@@ -145,17 +139,16 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
     if rises.len() < RISES / 2 {
         return Err(undetermined());
     }
-    let interval = |of: &dyn Fn(&DriveTrain) -> f64, systematic: f64| {
+    let interval = |of: fn(&DriveTrain) -> f64, systematic: f64| {
         // A pulse of a coarse motor sensor can spoil single rises.
         let values = typical(rises.iter().map(of).collect());
         fit::mean_interval(&values, systematic).ok_or_else(undetermined)
     };
-    let gain = interval(&|rise| rise.us_per_m_s, 0.0)?;
+    let gain = interval(|rise| rise.us_per_m_s, 0.0)?;
     let gain = gain.widened(0.02 * gain.value);
-    let lag = interval(&|rise| 1e3 * rise.lag, 1e3 * SYSTEMATIC[0])?;
-    let dead = interval(&|rise| 1e3 * rise.delay, 1e3 * SYSTEMATIC[1])?;
-    let edge = interval(&|rise| rise.edge_us, 1.0)?;
-    let roll = fit::mean_interval(rolls, 0.05);
+    let lag = interval(|rise| 1e3 * rise.lag, 1e3 * SYSTEMATIC[0])?;
+    let dead = interval(|rise| 1e3 * rise.delay, 1e3 * SYSTEMATIC[1])?;
+    let edge = interval(|rise| rise.edge_us, 1.0)?;
     // Less than the car needs: the proportional term would overshoot.
     let feed_forward = (0.8 * gain.value).round() as i64;
     let parameters = vec![
@@ -171,15 +164,14 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
     ];
     change(bench, &keys(&parameters))?;
     let is_slow = lag.value + dead.value > 300.0;
-    let found = format!(
-        "{} rises of the speed; the wheels begin to turn at {:.0} us{}",
+    let mut found = format!(
+        "{} rises of the speed; the wheels begin to turn at {:.0} us",
         rises.len(),
         edge.value,
-        roll.map_or_else(String::new, |roll| format!(
-            "; at neutral it slows down with {:.2} m/s2",
-            roll.value
-        ))
     );
+    if let Some(Interval { value, .. }) = fit::mean_interval(rolls, 0.05) {
+        found += &format!("; at neutral it slows down with {value:.2} m/s2");
+    }
     let fix = "the motor follows slowly: lower the speeds of your references, or change the ESC's \
                settings";
     Ok(Finding::warning_if(is_slow, found, fix).with(parameters))
@@ -292,12 +284,12 @@ fn counted(bench: &dyn Bench, stops: &[(f64, f64)]) -> f64 {
     ((100.0 * COUNTED * weakest).floor() / 100.0).clamp(0.05, most)
 }
 
-/// The motion of the body in a drive, and the way of the rear axle, m.
-fn moved(config: &Config, drive: &Drive) -> (Motion, Vec<f64>) {
+/// The way of the rear axle in a drive, s and m.
+fn ways(config: &Config, drive: &Drive) -> Vec<[f64; 2]> {
+    let cameras = &config.motion_capture;
+    let [_, left] = cameras.marker_offset_m;
     let motion = drive.readings.motion(0.0);
-    let [_, left] = config.motion_capture.marker_offset_m;
-    let way = motion.rear_way(config.motion_capture.marker_yaw_rad, left);
-    (motion, way)
+    motion.rear_way(cameras.marker_yaw_rad, left)
 }
 
 /// Drives along a circle with this speed and lets the car roll out. Gives the deceleration,
@@ -307,11 +299,11 @@ fn rolled(
     speed: f64,
     ways: &mut Vec<[f64; 2]>,
 ) -> Result<Option<f64>, Trouble> {
-    let mut stands = floor::ready(bench)?;
+    let stands = floor::ready(bench)?;
     let mut circle = Figure::circle(bench, &stands, speed);
     if circle.is_none() {
         floor::place(bench)?;
-        stands = floor::ready(bench)?;
+        let stands = floor::ready(bench)?;
         circle = Figure::circle(bench, &stands, speed);
     }
     let Some(figure) = circle else {
@@ -329,18 +321,17 @@ fn rolled(
     .completed()?;
     // The steady speed before it counts as well.
     let begin = drive.when(rolls_from) - 0.3;
-    let (motion, way) = moved(bench.configuration(), &drive);
-    let first = motion.time.partition_point(|time| *time < begin);
-    let ends = motion.time.partition_point(|time| *time < begin + SHOWN);
-    let shown = first..ends.max(first);
-    ways.extend(shown.map(|index| [motion.time[index] - begin - 0.3, way[index] - way[first]]));
+    let mut rolled = self::ways(bench.configuration(), &drive);
+    rolled.retain(|[time, _]| *time >= begin);
+    let start = rolled.first().map_or(0.0, |[_, way]| *way);
+    let shown = rolled.iter().take_while(|[time, _]| *time < begin + SHOWN);
+    ways.extend(shown.map(|[time, way]| [time - begin - 0.3, way - start]));
     // The next one is another line.
     ways.push([f64::NAN; 2]);
-    fit::roll_out(&motion.time[first..], &way[first..])
-        .map(Some)
-        .ok_or_else(|| {
-            let fix = "check that the floor is level and that the markers are visible everywhere, \
-                       and run this step again";
-            failed(format!("the car did not roll out from {speed:.1} m/s"), fix)
-        })
+    let braking = fit::roll_out(&rolled).ok_or_else(|| {
+        let fix = "check that the floor is level and that the markers are visible everywhere, and \
+                   run this step again";
+        failed(format!("the car did not roll out from {speed:.1} m/s"), fix)
+    })?;
+    Ok(Some(braking))
 }

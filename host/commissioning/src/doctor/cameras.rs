@@ -4,7 +4,7 @@ use singletrack_control::wrap;
 use singletrack_core::{Config, reasons::Why};
 use singletrack_pilot::Reason;
 
-use super::gather::Checks;
+use super::gather::{Checks, ends};
 use crate::{
     Bench, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Trouble,
     Verdict::{Failed, Good, Warning},
@@ -216,10 +216,9 @@ fn rolled(readings: &Readings) -> f64 {
 
 /// The direction of the body's movement, from its x axis, in rad.
 fn heading(readings: &Readings) -> Option<f64> {
-    let (first, last) = (readings.poses.first()?, readings.poses.last()?);
-    let direction =
-        (last.position[1] - first.position[1]).atan2(last.position[0] - first.position[0]);
-    Some(wrap(direction - last.yaw))
+    let [first, last] = ends(&readings.poses)?;
+    let [x, y] = [0, 1].map(|axis| last.position[axis] - first.position[axis]);
+    Some(wrap(y.atan2(x) - last.yaw))
 }
 
 /// The stamps of the cameras against the gyro, in a twist.

@@ -23,10 +23,8 @@ const PATIENCE_S: f64 = 90.0;
 impl Readings {
     /// Time from the first tick to the last, in s.
     pub(super) fn duration(&self) -> f64 {
-        match (self.ticks.first(), self.ticks.last()) {
-            (Some(first), Some(last)) => last.time.seconds_since(first.time),
-            _ => 0.0,
-        }
+        let ends = ends(&self.ticks);
+        ends.map_or(0.0, |[first, last]| last.time.seconds_since(first.time))
     }
 
     /// Whether IMU and cameras have seen no movement for [`STILL_S`].
@@ -36,9 +34,8 @@ impl Readings {
             return false;
         };
         let is_recent = |time: Time| now.seconds_since(time) < STILL_S;
-        let turns = self
-            .inertial()
-            .rev()
+        let newest_first = self.inertial().rev();
+        let turns = newest_first
             .take_while(|inertial| is_recent(inertial.time))
             .any(|inertial| norm(inertial.angular_velocity) > STILL_RAD_S);
         let newest_first = self.poses.iter().rev();
@@ -68,18 +65,14 @@ impl Readings {
 
     /// The rise of one of the board's counters, which wrap.
     pub(super) fn risen(&self, counter: fn(&Status) -> u16) -> u16 {
-        match (self.health.first(), self.health.last()) {
-            (Some(first), Some(last)) => counter(&last.status).wrapping_sub(counter(&first.status)),
-            _ => 0,
-        }
+        let counts = ends(&self.health).map(|ends| ends.map(|health| counter(&health.status)));
+        counts.map_or(0, |[first, last]| last.wrapping_sub(first))
     }
 
     /// The distance of the body from where it was, in m.
     pub(super) fn moved(&self) -> f64 {
-        match (self.poses.first(), self.poses.last()) {
-            (Some(first), Some(last)) => distance(first.position, last.position),
-            _ => 0.0,
-        }
+        let ends = ends(&self.poses);
+        ends.map_or(0.0, |[first, last]| distance(first.position, last.position))
     }
 
     /// Yaw rates, each with the time in s at which the board read it.
@@ -110,6 +103,11 @@ pub(super) fn turned(poses: &[PoseReading]) -> f64 {
     steps.map(|pair| wrap(pair[1].yaw - pair[0].yaw)).sum()
 }
 
+/// The first and the last.
+pub(super) fn ends<T>(readings: &[T]) -> Option<[&T; 2]> {
+    Some([readings.first()?, readings.last()?])
+}
+
 pub(super) fn norm(vector: [f64; 3]) -> f64 {
     vector.iter().map(|part| part * part).sum::<f64>().sqrt()
 }
@@ -122,10 +120,8 @@ pub(super) fn distance(from: [f64; 3], to: [f64; 3]) -> f64 {
 /// A step of the doctor: gathers readings, and keeps what its checks find.
 pub(super) struct Checks<'a> {
     bench: &'a mut dyn Bench,
-    verdict: Option<Verdict>,
-    found: Vec<String>,
-    expected: Vec<String>,
-    fixes: Vec<String>,
+    /// The verdict of each check, and what was found, was expected and is to be done.
+    made: Vec<(Verdict, [String; 3])>,
     parameters: Vec<Parameter>,
 }
 
@@ -133,10 +129,7 @@ impl<'a> Checks<'a> {
     pub(super) fn begin(bench: &'a mut dyn Bench) -> Self {
         Self {
             bench,
-            verdict: None,
-            found: Vec::new(),
-            expected: Vec::new(),
-            fixes: Vec::new(),
+            made: Vec::new(),
             parameters: Vec::new(),
         }
     }
@@ -309,7 +302,17 @@ impl<'a> Checks<'a> {
     }
 
     pub(super) fn has_failed(&self) -> bool {
-        self.verdict == Some(Verdict::Failed)
+        self.verdict() == Verdict::Failed
+    }
+
+    /// The worst verdict. A partly checked step does not count as skipped.
+    fn verdict(&self) -> Verdict {
+        let verdicts = self.made.iter().map(|(verdict, _)| *verdict);
+        match verdicts.clone().max() {
+            Some(Verdict::Skipped) => verdicts.min(),
+            worst => worst,
+        }
+        .unwrap_or(Verdict::Skipped)
     }
 
     /// A check with this verdict. There is nothing to fix if it passed, or if the doctor has
@@ -321,26 +324,12 @@ impl<'a> Checks<'a> {
         expected: impl Into<String>,
         fix: impl Into<String>,
     ) {
-        self.verdict = Some(match (self.verdict, verdict) {
-            // A partly checked step does not count as skipped.
-            (Some(Verdict::Skipped), Verdict::Good) => Verdict::Good,
-            (Some(Verdict::Good), Verdict::Skipped) => Verdict::Good,
-            (Some(before), now) => before.max(now),
-            (None, now) => now,
-        });
         let fix = match verdict {
             Verdict::Good => String::new(),
             _ => fix.into(),
         };
-        for (list, text) in [
-            (&mut self.found, found.into()),
-            (&mut self.expected, expected.into()),
-            (&mut self.fixes, fix),
-        ] {
-            if !text.is_empty() {
-                list.push(text);
-            }
-        }
+        self.made
+            .push((verdict, [found.into(), expected.into(), fix]));
     }
 
     /// The early end of the step.
@@ -374,14 +363,15 @@ impl<'a> Checks<'a> {
                 parameter.key = None;
             }
         }
+        let [found, expected, fix] = [0, 1, 2].map(|which| {
+            let texts = self.made.iter().map(|(_, texts)| &*texts[which]);
+            let texts: Vec<&str> = texts.filter(|text| !text.is_empty()).collect();
+            texts.join("; ")
+        });
         Ok(Finding {
-            expected: self.expected.join("; "),
+            expected,
             parameters,
-            ..Finding::new(
-                self.verdict.unwrap_or(Verdict::Skipped),
-                self.found.join("; "),
-                self.fixes.join("; "),
-            )
+            ..Finding::new(self.verdict(), found, fix)
         })
     }
 }

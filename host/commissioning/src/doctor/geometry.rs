@@ -4,7 +4,7 @@ use core::f64::consts::TAU;
 
 use singletrack_control::{Time, unwrap_near, wrap};
 
-use super::gather::{Checks, distance, turned};
+use super::gather::{Checks, distance, ends, turned};
 use crate::{
     Bench, BoardReading, Finding, Interval, Parameter, Plot, PlotKind, PlotLine, PoseReading,
     Trouble,
@@ -137,10 +137,10 @@ fn rolls(origin: [f64; 2], checks: &mut Checks<'_>) -> Result<Vec<Pass>, Trouble
             return Err(checks.fail("the car was not rolled", expected, fix));
         };
         is_latched |= readings.is_latched();
+        let about = ratio(&readings, origin, believed);
         passes.push(Pass {
             rolled: found,
-            ratio: ratio(&readings, origin, believed)
-                .and_then(|share| ratio(&readings, origin, share * believed)),
+            ratio: about.and_then(|share| ratio(&readings, origin, share * believed)),
             clock: clock(&readings.boards),
         });
     }
@@ -165,18 +165,15 @@ fn place(origin: [Interval; 2], yaw: Interval, checks: &mut Checks<'_>) {
     // From the body's axes to those of the car.
     let (sin, cos) = yaw.value.sin_cos();
     let spin = yaw.half_width();
-    let turned = |first: (f64, Interval), second: (f64, Interval), lever: f64| {
-        let (a, one) = first;
-        let (b, other) = second;
-        let width = (a * one.half_width())
-            .hypot(b * other.half_width())
-            .hypot(spin * lever);
-        Interval::around(a * one.value + b * other.value, width)
+    let turned = |a: f64, b: f64| {
+        let (one, other) = (a * along.half_width(), b * across.half_width());
+        // The lever of an error of the yaw is the other part.
+        let lever = a * across.value - b * along.value;
+        let width = one.hypot(other).hypot(spin * lever);
+        Interval::around(a * along.value + b * across.value, width)
     };
-    let forward_lever = sin * along.value + cos * across.value;
-    let left_lever = cos * along.value - sin * across.value;
-    let forward = turned((cos, along), (-sin, across), forward_lever).shifted(-rear);
-    let left = turned((sin, along), (cos, across), left_lever);
+    let forward = turned(cos, -sin).shifted(-rear);
+    let left = turned(sin, cos);
     let found = format!(
         "the body's pivot is {:.0} mm in front of the centre of mass and {:.0} mm to its \
          left, turned by {:.1} degrees",
@@ -258,47 +255,47 @@ fn ratio(readings: &Readings, origin: [f64; 2], pulse: f64) -> Option<f64> {
     let mut by_cameras = 0.0;
     for stretch in speeds.chunk_by(|left, right| (left.1 > SLOW_M_S) == (right.1 > SLOW_M_S)) {
         let highest = stretch.iter().map(|(_, speed)| *speed).fold(0.0, f64::max);
-        let is_fast = |reading: &&(Time, f64)| reading.1 > STEADY * highest;
-        let (Some((begin, _)), Some((end, _))) =
-            (stretch.iter().find(is_fast), stretch.iter().rfind(is_fast))
-        else {
+        let fast = stretch
+            .iter()
+            .filter(|(_, speed)| *speed > STEADY * highest);
+        let fast: Vec<Time> = fast.map(|(time, _)| *time).collect();
+        let Some([&begin, &end]) = ends(&fast).filter(|_| highest > SLOW_M_S) else {
             continue;
         };
-        if highest <= SLOW_M_S || end.seconds_since(*begin) < STRETCH_S {
+        let lasts = end.seconds_since(begin);
+        if lasts < STRETCH_S {
             continue;
         }
-        let way = way(&readings.poses, origin, *begin, *end)?;
-        let late = PERIOD_S + pulse * end.seconds_since(*begin) / way;
+        let way = way(&readings.poses, origin, begin, end)?;
         by_cameras += way;
-        by_pulses += wheel_way(&readings.boards, *begin, *end, late) * clock;
+        let late = PERIOD_S + pulse * lasts / way;
+        by_pulses += wheel_way(&readings.boards, begin, end, late) * clock;
     }
     (by_pulses > 0.0).then(|| by_cameras / by_pulses)
 }
 
 /// Seconds of the board's clock in a second: a ceramic resonator is up to 0.5 % wrong.
 fn clock(boards: &[BoardReading]) -> f64 {
-    match (boards.first(), boards.last()) {
-        (Some(first), Some(last)) if last.time.seconds_since(first.time) > 1.0 => {
-            let own = f64::from(last.board_us.wrapping_sub(first.board_us)) * 1e-6;
-            own / last.time.seconds_since(first.time)
-        }
-        _ => 1.0,
-    }
+    let seconds = ends(boards).map(|[first, last]| {
+        let own = f64::from(last.board_us.wrapping_sub(first.board_us)) * 1e-6;
+        (own, last.time.seconds_since(first.time))
+    });
+    seconds
+        .filter(|(_, passed)| *passed > 1.0)
+        .map_or(1.0, |(own, passed)| own / passed)
 }
 
 /// The speed of the body at its poses, over a tenth of a second.
 fn speeds(poses: &[PoseReading]) -> Vec<(Time, f64)> {
     const AROUND: usize = 5;
-    poses
-        .windows(2 * AROUND + 1)
-        .filter_map(|window| {
-            let (first, last) = (window.first()?, window.last()?);
-            let time = last.capture.seconds_since(first.capture);
-            let speed = distance(first.position, last.position) / time;
-            // A gap is no movement.
-            (time < 0.3).then_some((window.get(AROUND)?.capture, speed))
-        })
-        .collect()
+    let speeds = poses.windows(2 * AROUND + 1).filter_map(|window| {
+        let [first, last] = ends(window)?;
+        let time = last.capture.seconds_since(first.capture);
+        let speed = distance(first.position, last.position) / time;
+        // A gap is no movement.
+        (time < 0.3).then_some((window[AROUND].capture, speed))
+    });
+    speeds.collect()
 }
 
 /// The way of the wheels between two moments, by the believed distance of a pulse, if their speed

@@ -87,29 +87,23 @@ struct Turned {
 
 impl Turned {
     fn new(velocities: &[[f64; 2]]) -> Option<Self> {
-        let mut angle = 0.0;
-        let mut before: Option<(f64, f64)> = None;
-        let points: Vec<_> = velocities
-            .iter()
-            .filter_map(|[time, velocity]| {
-                if let Some((last, other)) = before {
-                    if *time <= last {
-                        return None;
-                    }
-                    angle += (time - last) * f64::midpoint(*velocity, other);
+        let mut points: Vec<(f64, f64, f64)> = Vec::new();
+        for &[time, velocity] in velocities {
+            let angle = match points.last() {
+                None => 0.0,
+                Some((last, ..)) if time <= *last => continue,
+                Some((last, other, angle)) => {
+                    angle + (time - last) * f64::midpoint(velocity, *other)
                 }
-                before = Some((*time, *velocity));
-                Some((*time, *velocity, angle))
-            })
-            .collect();
+            };
+            points.push((time, velocity, angle));
+        }
         (points.len() > 1).then_some(Self { points })
     }
 
     fn covers(&self, time: f64) -> bool {
-        match (self.points.first(), self.points.last()) {
-            (Some(first), Some(last)) => (first.0..last.0).contains(&time),
-            _ => false,
-        }
+        let ends = self.points.first().zip(self.points.last());
+        ends.is_some_and(|(first, last)| (first.0..last.0).contains(&time))
     }
 
     /// Angle and velocity at a time.
@@ -162,10 +156,9 @@ pub(crate) struct SampleTimes {
 /// The times of the measurements from those of the readings, in their order.
 pub(crate) fn sample_times(readings: &[Reading]) -> SampleTimes {
     let times: Vec<f64> = readings.iter().map(|reading| reading.time).collect();
-    let (waits, unknown) = if is_polled(readings) {
-        waits(&times)
-    } else {
-        (vec![0.0; times.len()], 0.0)
+    let (waits, unknown) = match is_polled(readings) {
+        true => waits(&times),
+        false => (vec![0.0; times.len()], 0.0),
     };
     let readings = times.iter().zip(waits);
     let measured = readings.map(|(time, wait)| time - wait - SENSOR);
@@ -177,14 +170,13 @@ pub(crate) fn sample_times(readings: &[Reading]) -> SampleTimes {
 
 /// Whether the board reads in its own time: otherwise it reads a sample as it comes.
 fn is_polled(readings: &[Reading]) -> bool {
-    let Some(first) = readings.first() else {
-        return false;
-    };
-    let kept = readings.iter().filter(|reading| {
-        let off = reading.board_us.wrapping_sub(first.board_us) % ROUND_US;
-        off.min(ROUND_US - off) <= KEPT_US
-    });
-    kept.count() * 10 >= readings.len() * 9
+    readings.first().is_some_and(|first| {
+        let kept = readings.iter().filter(|reading| {
+            let off = reading.board_us.wrapping_sub(first.board_us) % ROUND_US;
+            off.min(ROUND_US - off) <= KEPT_US
+        });
+        kept.count() * 10 >= readings.len() * 9
+    })
 }
 
 /// How long each sample waited for its reading, and a bound on the error of their mean, s.
@@ -205,25 +197,20 @@ fn waits(times: &[f64]) -> (Vec<f64>, f64) {
     let mut last = None;
     let mut second: Vec<bool> = vec![false; times.len()];
     for (index, _) in between.iter().enumerate().filter(|(_, between)| **between) {
-        let near = last
-            .filter(|last| index - last <= 2 * LOOKS)
-            .unwrap_or(index);
-        second[near..=index].fill(true);
+        let near = last.filter(|last| index - last <= 2 * LOOKS);
+        second[near.unwrap_or(index)..=index].fill(true);
         last = Some(index);
     }
     // At the limit of the two it changes to and fro.
     let lasting = |half: &&[bool]| half.len() > 5 * LOOKS;
     let halves = second.chunk_by(|one, other| one == other).filter(lasting);
     let changes = halves.count().saturating_sub(1);
-    let waits = second
-        .iter()
-        .zip(between)
-        .map(|(second, between)| match (second, between) {
-            (true, false) => 0.75 * PERIOD,
-            _ => 0.25 * PERIOD,
-        })
-        .collect();
-    (waits, 0.25 * PERIOD / changes.max(1) as f64)
+    let waits = second.iter().zip(between);
+    let waits = waits.map(|(second, between)| match (second, between) {
+        (true, false) => 0.75 * PERIOD,
+        _ => 0.25 * PERIOD,
+    });
+    (waits.collect(), 0.25 * PERIOD / changes.max(1) as f64)
 }
 
 #[cfg(test)]

@@ -26,22 +26,20 @@ pub(crate) struct DriveTrain {
 /// The step of the simulated motor, s.
 const STEP: f64 = 0.002;
 
-/// Fits the way of the rear axle (times in s, ways in m) through a change from the first of two
+/// Fits the way of the rear axle (times in s and ways in m) through a change from the first of two
 /// speeds to the second, m/s. `about` is the pulse per speed and that at zero speed where the
 /// search begins. The map is bent as that of most motors is: the two speeds do not show it. A motor that
 /// turns faster than its pulse wants does not brake: the car rolls, with `rolling` m/s². None if
 /// it is not determined.
 pub(crate) fn drive_train(
-    time: &[f64],
-    way: &[f64],
+    ways: &[[f64; 2]],
     pulses: &Frames,
     speeds: [f64; 2],
     about: [f64; 2],
     rolling: f64,
 ) -> Option<DriveTrain> {
-    let (start, first) = (*time.first()?, *way.first()?);
-    let near = time.iter().take_while(|t| **t < start + 0.2).count();
-    let (late, after) = (time.get(near)?, way.get(near)?);
+    let [start, first] = *ways.first()?;
+    let [late, after] = ways.iter().find(|[time, _]| *time >= start + 0.2)?;
     let speed = (after - first) / (late - start);
     let [us_per_m_s, edge_us] = about;
     let scale = [0.01, 0.5, 0.002, 0.002, 1e-4, 1e-3];
@@ -61,9 +59,8 @@ pub(crate) fn drive_train(
         |&[gain, edge, lag, delay, at, speed]| {
             let share = 1.0 - (-STEP / lag).exp();
             let (mut now, mut position, mut speed) = (start, at, speed);
-            time.iter()
-                .zip(way)
-                .map(|(&time, &way)| {
+            ways.iter()
+                .map(|&[time, way]| {
                     while now + STEP <= time {
                         now += STEP;
                         let beyond = (pulses.mean(now - delay, STEP) - edge).max(0.0) * gain * 1e-3;
@@ -89,7 +86,7 @@ pub(crate) fn drive_train(
 /// The deceleration of a roll-out, m/s²: the square of its speed over twice the way. The times in
 /// s and the ways in m begin while the car drives at its speed and end when it stands. None
 /// without a roll-out from 0.1 m/s or more.
-pub(crate) fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
+pub(crate) fn roll_out(ways: &[[f64; 2]]) -> Option<f64> {
     /// Poses from which the search takes its first speed.
     const FIRST: usize = 10;
     /// The share of the speed in the deceleration, 1/s: a short roll-out does not show it.
@@ -98,17 +95,17 @@ pub(crate) fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
     const LONG: f64 = 0.6;
     /// A way that it has fallen behind by is no noise, m.
     const FALLEN: f64 = 0.003;
-    let start = *time.first()?;
-    let (first, last) = (*way.first()?, *way.last()?);
-    let speed = (way.get(FIRST)? - first) / (time.get(FIRST)? - start);
+    let ([start, first], [_, last]) = (*ways.first()?, *ways.last()?);
+    let [time, way] = ways.get(FIRST)?;
+    let speed = (way - first) / (time - start);
     // It has stood for the last part.
-    let stood = way.get(way.len().checked_sub(FIRST)?)?;
+    let [_, stood] = ways.get(ways.len().checked_sub(FIRST)?)?;
     if !(speed > 0.1 && last > first && last - stood < 0.002) {
         return None;
     }
     // Where it has fallen behind its first speed, and what the rest of its way says.
-    let behind = |(t, x): &(&f64, &f64)| first + speed * (**t - start) - **x > FALLEN;
-    let (begin, at) = time.iter().zip(way).find(behind)?;
+    let behind = |[t, x]: &&[f64; 2]| first + speed * (t - start) - x > FALLEN;
+    let [begin, at] = ways.iter().find(behind)?;
     let guess = (0..5).fold(1.0, |guess: f64, _| {
         let until = (2.0 * FALLEN / guess).sqrt();
         let rolled = last - at + speed * until - FALLEN;
@@ -117,13 +114,13 @@ pub(crate) fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
     let residuals = |[at, speed, begin, rolling]: [f64; 4], viscous: f64| {
         let level = rolling / viscous;
         let lasts = (speed / level).ln_1p() / viscous;
-        let residual = move |(&time, &way): (&f64, &f64)| {
+        let residual = move |&[time, way]: &[f64; 2]| {
             let steady = time.min(begin) - start;
             let slowing = (time - begin).clamp(0.0, lasts);
             let faded = -(-viscous * slowing).exp_m1() / viscous;
             way - at - speed * steady - (speed + level) * faded + level * slowing
         };
-        time.iter().zip(way).map(residual).collect()
+        ways.iter().map(residual).collect()
     };
     let scale = [1e-4, 1e-3, 1e-3, 1e-2];
     let bounds = [
@@ -134,18 +131,17 @@ pub(crate) fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
     ];
     let [at, speed, begin] = if speed < LONG * guess {
         let start = [first, speed, *begin, guess];
-        let [at, speed, begin, _] =
-            gauss_newton(start, scale, bounds, |four| residuals(*four, VISCOUS))?;
-        [at, speed, begin]
+        let found = gauss_newton(start, scale, bounds, |four| residuals(*four, VISCOUS));
+        found.map(|[at, speed, begin, _]| [at, speed, begin])?
     } else {
         let ([low, high, near, most], [one, two, three, four]) = (bounds, scale);
-        let [at, speed, begin, ..] = gauss_newton(
-            [first, speed, *begin, 0.7 * guess, 0.3],
-            [one, two, three, four, 1e-2],
-            [low, high, near, most, [0.01, 3.0]],
-            |&[at, speed, begin, rolling, viscous]| residuals([at, speed, begin, rolling], viscous),
-        )?;
-        [at, speed, begin]
+        let start = [first, speed, *begin, 0.7 * guess, 0.3];
+        let scale = [one, two, three, four, 1e-2];
+        let bounds = [low, high, near, most, [0.01, 3.0]];
+        let found = gauss_newton(start, scale, bounds, |&[four @ .., viscous]| {
+            residuals(four, viscous)
+        });
+        found.map(|[at, speed, begin, ..]| [at, speed, begin])?
     };
     let rolled = last - at - speed * (begin - start);
     let found = speed * speed / (2.0 * rolled);
@@ -155,15 +151,13 @@ pub(crate) fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
 
 /// The deceleration of the rear axle over these times, m/s², by a parabola. None of fewer than
 /// four.
-pub(crate) fn deceleration(time: &[f64], way: &[f64]) -> Option<f64> {
-    let start = *time.first()?;
-    let rows = time.iter().zip(way).map(|(time, way)| {
+pub(crate) fn deceleration(ways: &[[f64; 2]]) -> Option<f64> {
+    let [start, _] = *ways.first().filter(|_| ways.len() >= 4)?;
+    let fit = least_squares(ways.iter().map(|[time, way]| {
         let t = time - start;
         ([1.0, t, t * t], *way)
-    });
-    (time.len() >= 4)
-        .then(|| super::least_squares(rows))?
-        .map(|fit| -2.0 * fit.parameters[2])
+    }))?;
+    Some(-2.0 * fit.parameters[2])
 }
 
 /// Highest bend that is searched, s/m: speeds reach 0.9 m/s, and 1/w is the highest of all.
@@ -263,7 +257,7 @@ mod tests {
     use super::*;
 
     /// A rise of the speed by a motor with a bent map: its pulses, and the way by the cameras.
-    fn rise(seed: u64, truth: &DriveTrain, bend: f64) -> (Frames, Vec<f64>, Vec<f64>) {
+    fn rise(seed: u64, truth: &DriveTrain, bend: f64) -> (Frames, Vec<[f64; 2]>) {
         let mut noise = Random::new(seed);
         let phase = 0.02 * noise.uniform();
         let slope = truth.us_per_m_s * (1.0 - 0.15 * bend) * (1.0 - 0.3 * bend);
@@ -281,7 +275,7 @@ mod tests {
                 .map(|time| (time, wanted(time)))
                 .collect(),
         );
-        let (mut time, mut way) = (Vec::new(), Vec::new());
+        let mut ways = Vec::new();
         let step = 1e-4;
         let (mut speed, mut position) = (0.15, 0.0);
         for index in 0..20_000 {
@@ -293,11 +287,10 @@ mod tests {
             speed += step * (target - speed) / truth.lag;
             position += step * speed;
             if index % 100 == 0 && now > 0.1 && now < 1.8 {
-                time.push(now + step);
-                way.push(position + 0.000_2 * noise.normal(1.0));
+                ways.push([now + step, position + 0.000_2 * noise.normal(1.0)]);
             }
         }
-        (pulses, time, way)
+        (pulses, ways)
     }
 
     #[test]
@@ -309,12 +302,12 @@ mod tests {
             (0.6, 1.4, 1.2),
             (1.0, 0.3, 0.2),
         ] {
-            let (mut time, mut way) = (Vec::new(), Vec::new());
+            let mut ways = Vec::new();
             let (mut now, mut position, mut rolled) = (speed, 0.0, 0.0);
             for index in 0..60_000 {
                 if index % 100 == 0 {
-                    time.push(1e-4 * f64::from(index));
-                    way.push(position + 0.000_2 * noise.normal(1.0));
+                    let time = 1e-4 * f64::from(index);
+                    ways.push([time, position + 0.000_2 * noise.normal(1.0)]);
                 }
                 if index > 2_345 {
                     now = f64::max(now - 1e-4 * (rolling + viscous * now), 0.0);
@@ -323,12 +316,12 @@ mod tests {
                 position += 1e-4 * now;
             }
             let truth = speed * speed / (2.0 * rolled);
-            let found = roll_out(&time, &way).unwrap();
+            let found = roll_out(&ways).unwrap();
             // The viscous part is not known.
             assert!((found / truth - 1.0).abs() < 0.08, "{truth}: {found}");
             // Still rolling, and never.
-            assert_eq!(roll_out(&time[..40], &way[..40]), None);
-            assert_eq!(roll_out(&time[500..], &way[500..]), None);
+            assert_eq!(roll_out(&ways[..40]), None);
+            assert_eq!(roll_out(&ways[500..]), None);
         }
     }
 
@@ -347,8 +340,8 @@ mod tests {
             };
             let found: Vec<DriveTrain> = (0..40)
                 .map(|rise_seed| {
-                    let (pulses, time, way) = rise(seed * 1_000 + rise_seed, &truth, bend);
-                    drive_train(&time, &way, &pulses, [0.15, 0.3], [110.0, 1_525.0], 1.0).unwrap()
+                    let (pulses, ways) = rise(seed * 1_000 + rise_seed, &truth, bend);
+                    drive_train(&ways, &pulses, [0.15, 0.3], [110.0, 1_525.0], 1.0).unwrap()
                 })
                 .collect();
             let mean = |of: fn(&DriveTrain) -> f64| found.iter().map(of).sum::<f64>() / 40.0;

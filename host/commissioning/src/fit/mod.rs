@@ -17,8 +17,8 @@ pub(crate) use body::{Body, Rolled, body, rolled, turned_about};
 pub(crate) use delay::{Reading, sample_times, stamp_delay};
 pub(crate) use drive_train::{DriveTrain, deceleration, drive_train, roll_out};
 pub(crate) use statistics::{
-    LeastSquares, block_means, gauss_newton, jackknife, least_squares, mean, mean_interval, median,
-    standard_deviation,
+    LeastSquares, block_means, gauss_newton, jackknife, least_squares, left_out_deviation, mean,
+    mean_interval, median, standard_deviation,
 };
 pub(crate) use track::{Frames, Motion, Signal};
 pub(crate) use wheels::{Driven, Wheels};

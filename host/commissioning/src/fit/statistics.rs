@@ -82,14 +82,19 @@ pub(crate) fn jackknife<T, const N: usize>(
         })
         .collect::<Option<_>>()?;
     let quantile = student_quantile(freedom);
-    let count = passes.len() as f64;
     Some(std::array::from_fn(|index| {
         let values: Vec<f64> = without.iter().map(|one| one[index]).collect();
-        let centre = mean(&values).unwrap_or(whole[index]);
-        let squares: f64 = values.iter().map(|value| (value - centre).powi(2)).sum();
-        let error = (squares * (count - 1.0) / count).sqrt();
-        Interval::around(whole[index], quantile * error).widened(systematic[index])
+        let error = quantile * left_out_deviation(&values);
+        Interval::around(whole[index], error).widened(systematic[index])
     }))
+}
+
+/// The standard deviation of an estimate by what it becomes if each part is left out once.
+pub(crate) fn left_out_deviation(left_out: &[f64]) -> f64 {
+    let count = left_out.len() as f64;
+    let mean = left_out.iter().sum::<f64>() / count;
+    let squares = left_out.iter().map(|value| (value - mean).powi(2));
+    ((count - 1.0) / count * squares.sum::<f64>()).sqrt()
 }
 
 /// A solution of [`least_squares`].

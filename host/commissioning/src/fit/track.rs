@@ -108,44 +108,37 @@ impl Readings {
     /// The motion at the poses, whose stamps are late by `latency` s.
     pub(crate) fn motion(&self, latency: f64) -> Motion {
         let turned = self.rate().0.integral();
-        let yaws = self.yaws();
-        let time: Vec<f64> = yaws.iter().map(|[time, _]| time - latency).collect();
-        let gyro: Vec<f64> = time.iter().map(|time| turned.at(*time)).collect();
-        let pairs = yaws.iter().zip(&gyro);
-        let lead: Vec<f64> = pairs.map(|([_, yaw], gyro)| yaw - gyro).collect();
-        let smoothed = lead.iter().enumerate().map(|(index, _)| {
-            let around = SMOOTHED.min(index).min(lead.len() - 1 - index);
-            let near = &lead[index - around..=index + around];
-            gyro[index] + near.iter().sum::<f64>() / near.len() as f64
+        let lead = self.yaws().into_iter().map(|[stamp, yaw]| {
+            let time = stamp - latency;
+            [time, yaw - turned.at(time)]
         });
-        let yaw: Vec<f64> = smoothed.collect();
-        let yaw_rate = slopes(&time, &yaw, 1);
+        let Signal(lead) = Signal(lead.collect()).smoothed(SMOOTHED);
+        let smooth = lead.into_iter();
+        let smooth = smooth.map(|[time, lead]| [time, turned.at(time) + lead]);
+        let smooth: Vec<[f64; 2]> = smooth.collect();
         let poses = self.poses.iter();
         Motion {
             position: poses
                 .map(|pose| [pose.position[0], pose.position[1]])
                 .collect(),
-            time,
-            yaw,
-            yaw_rate,
+            yaw_rate: slopes(&smooth, 1),
+            time: smooth.iter().map(|[time, _]| *time).collect(),
+            yaw: smooth.iter().map(|[_, yaw]| *yaw).collect(),
         }
     }
 }
 
 /// The change of values over the time, over `span` of them on both sides.
-fn slopes(time: &[f64], values: &[f64], span: usize) -> Vec<f64> {
-    (0..time.len())
-        .map(|index| {
-            let before = index.saturating_sub(span);
-            let after = (index + span).min(time.len() - 1);
-            let passed = time[after] - time[before];
-            if passed > 0.0 {
-                (values[after] - values[before]) / passed
-            } else {
-                0.0
-            }
-        })
-        .collect()
+fn slopes(values: &[[f64; 2]], span: usize) -> Vec<f64> {
+    let slopes = (0..values.len()).map(|index| {
+        let [begin, before] = values[index.saturating_sub(span)];
+        let [end, after] = values[(index + span).min(values.len() - 1)];
+        match end > begin {
+            true => (after - before) / (end - begin),
+            false => 0.0,
+        }
+    });
+    slopes.collect()
 }
 
 /// Values without their mean and trend over time.
@@ -210,21 +203,22 @@ impl Motion {
             .collect()
     }
 
-    /// The way of the rear axle since the first pose, m, when the pivot is `left` m to the left
+    /// The way of the rear axle since the first pose, m, at the times of the poses, when the pivot is `left` m to the left
     /// of the car's middle.
-    pub(crate) fn rear_way(&self, body_yaw: f64, left: f64) -> Vec<f64> {
+    pub(crate) fn rear_way(&self, body_yaw: f64, left: f64) -> Vec<[f64; 2]> {
         let mut way = 0.0;
-        let mut ways = vec![0.0];
-        for (index, [along, _]) in self.displacement(body_yaw).into_iter().enumerate() {
+        let begin = self.time.first().map(|time| [*time, 0.0]);
+        let steps = self.displacement(body_yaw).into_iter().enumerate();
+        let ways = steps.map(|(index, [along, _])| {
             way += along + left * (self.yaw[index + 1] - self.yaw[index]);
-            ways.push(way);
-        }
-        ways
+            [self.time[index + 1], way]
+        });
+        begin.into_iter().chain(ways).collect()
     }
 
     /// The speed of the rear axle at every pose, over `span` poses on both sides, m/s.
     pub(crate) fn rear_speed(&self, body_yaw: f64, left: f64, span: usize) -> Vec<f64> {
-        slopes(&self.time, &self.rear_way(body_yaw, left), span)
+        slopes(&self.rear_way(body_yaw, left), span)
     }
 }
 
