@@ -447,29 +447,27 @@ impl Mounting {
             (false, ..) => return None,
             (true, Some(true), Some(false)) => (
                 "it is turned by 90 degrees to the left",
-                "swap the columns of imu.forward_acceleration and imu.left_acceleration, and negate \
-                 the new forward one",
+                ", and negate the new forward one",
             ),
             (true, Some(false), Some(true)) => (
                 "it is turned by 90 degrees to the right",
-                "swap the columns of imu.forward_acceleration and imu.left_acceleration, and negate \
-                 the new left one",
+                ", and negate the new left one",
             ),
             (true, Some(false), Some(false)) => (
                 "its axes are swapped, and both reversed",
-                "swap the columns of imu.forward_acceleration and imu.left_acceleration, and negate \
-                 both",
+                ", and negate both",
             ),
-            (true, ..) => (
-                "its axes are swapped",
-                "swap the columns of imu.forward_acceleration and imu.left_acceleration",
-            ),
+            (true, ..) => ("its axes are swapped", ""),
+        };
+        let swap = match self.crossed {
+            true => "swap the columns of imu.forward_acceleration and imu.left_acceleration",
+            false => "",
         };
         let unknown = match self.axes.iter().all(|axis| sign(axis).is_some()) {
             true => "",
             false => "; the sign of one axis does not show in this drive",
         };
-        Some((how, format!("{mend}{unknown}")))
+        Some((how, format!("{swap}{mend}{unknown}")))
     }
 }
 

@@ -155,17 +155,29 @@ impl<'a> Car<'a> {
 
     /// Waits for a time without a request; returns the telemetry.
     pub(super) fn watch(&mut self, seconds: f64, what: &str) -> Result<Vec<BoardReading>, Trouble> {
+        self.pass(seconds, what, |car| car.tick().map(|()| false))
+    }
+
+    /// Lets a time pass, each tick of it in `tick`, which may end it early; returns the telemetry.
+    fn pass(
+        &mut self,
+        seconds: f64,
+        what: &str,
+        mut tick: impl FnMut(&mut Self) -> Result<bool, Trouble>,
+    ) -> Result<Vec<BoardReading>, Trouble> {
         let begin = self.now;
         let mut all = Vec::new();
-        loop {
+        let mut has_ended = false;
+        while !has_ended {
             let done = self.now.seconds_since(begin) / seconds;
             if done >= 1.0 {
-                return Ok(all);
+                break;
             }
-            self.tick()?;
+            has_ended = tick(self)?;
             all.extend_from_slice(&self.readings);
             self.show(what, done);
         }
+        Ok(all)
     }
 
     /// Shows the present values.
@@ -256,30 +268,20 @@ impl<'a> Car<'a> {
         what: &str,
         mut ends: impl FnMut(&BoardReading) -> bool,
     ) -> Result<Vec<BoardReading>, Trouble> {
-        let begin = self.now;
-        let mut all = Vec::new();
-        loop {
-            let done = self.now.seconds_since(begin) / seconds;
-            if done >= 1.0 {
-                return Ok(all);
+        self.pass(seconds, what, |car| {
+            car.renew(jog)?;
+            car.tick()?;
+            if !car.jogs() {
+                return Err(car.ended("by itself"));
             }
-            self.renew(jog)?;
-            self.tick()?;
-            if !self.jogs() {
-                return Err(self.ended("by itself"));
+            if car.is_silent() {
+                return Err(car.ended("the board sends nothing"));
             }
-            if self.is_silent() {
-                return Err(self.ended("the board sends nothing"));
+            if jog.esc_us != car.rest().esc_us {
+                car.check_seen()?;
             }
-            if jog.esc_us != self.rest().esc_us {
-                self.check_seen()?;
-            }
-            self.show(what, done);
-            all.extend_from_slice(&self.readings);
-            if self.readings.iter().any(&mut ends) {
-                return Ok(all);
-            }
-        }
+            Ok(car.readings.iter().any(&mut ends))
+        })
     }
 
     fn renew(&mut self, jog: Jog) -> Result<(), Trouble> {

@@ -125,53 +125,39 @@ pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     Err(failed(found, fix))
 }
 
-/// What pulses below neutral do.
-enum Below {
-    /// The wheels turn backward beyond this edge.
-    Reverse(SpeedCurve),
-    /// Beyond this edge the ESC brakes.
-    Brake(Interval),
-    /// Nothing that the speed shows.
-    Nothing,
-}
-
 pub(super) fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let (ahead, below) = armed(bench, |car| {
+    let (ahead, reverse, brake) = armed(bench, |car| {
         let ahead = curve(car, true)?.ok_or_else(never_turned)?;
-        let below = match curve(car, false)? {
-            Some(curve) => Below::Reverse(curve),
-            None => brake_edge(car, &ahead)?.map_or(Below::Nothing, Below::Brake),
+        let reverse = curve(car, false)?;
+        let brake = match reverse {
+            Some(_) => None,
+            None => brake_edge(car, &ahead)?,
         };
-        Ok((ahead, below))
+        Ok((ahead, reverse, brake))
     })?;
     let esc = bench.configuration().board.esc;
     let configured = f64::from(esc.neutral_us);
     let upper = ahead.edge;
     // Both relative to the configured neutral.
-    let (neutral, deadband, how) = match below {
-        Below::Reverse(curve) => {
+    let (neutral, deadband, how) = match (reverse, brake) {
+        (Some(curve), _) => {
             let half = upper.half_width().hypot(curve.edge.half_width()) / 2.0;
             let lower = -curve.edge.value;
-            (
-                Interval::around(f64::midpoint(upper.value, lower), half),
-                Interval::around((upper.value - lower) / 2.0, half),
-                "turns both ways",
-            )
+            let neutral = Interval::around(f64::midpoint(upper.value, lower), half);
+            let deadband = Interval::around((upper.value - lower) / 2.0, half);
+            (neutral, deadband, "turns both ways")
         }
-        Below::Brake(edge) => {
+        (None, Some(edge)) => {
             // The ESC's own edge: on the other side the drive train holds a little more.
             let half = upper.half_width().hypot(edge.half_width()) / 2.0;
             let middle = f64::midpoint(upper.value - HELD_US, -edge.value);
             let neutral = Interval::around(middle, half).widened(HELD_US / 2.0);
             // The wheels stood at the configured neutral, so it lies within the band.
             let neutral = with_prior(neutral, NEUTRAL_US);
-            (
-                neutral,
-                neutral.scaled(-1.0).shifted(upper.value),
-                "turns forward, brakes below neutral",
-            )
+            let deadband = neutral.scaled(-1.0).shifted(upper.value);
+            (neutral, deadband, "turns forward, brakes below neutral")
         }
-        Below::Nothing => {
+        (None, None) => {
             let ends = [(upper.low - WIDEST_US).min(0.0), upper.high.max(0.0)];
             let neutral = Interval::between(0.0, ends);
             let deadband = Interval::between(upper.value, [0.0, WIDEST_US.max(upper.high)]);
@@ -238,15 +224,14 @@ fn curve(car: &mut Car<'_>, forward: bool) -> Result<Option<SpeedCurve>, Trouble
         return Ok(None);
     };
     let levels = levels(car, forward, first)?;
-    fit_speed_curve(&levels, BREAKAWAY_US, AT_SPEED)
-        .map(Some)
-        .ok_or_else(|| {
-            let count = levels.len();
-            let found = format!("{count} settled speeds give no curve of speed over pulse");
-            let fix = "The motor turns too fast or too unsteadily within 150 us of neutral: reduce \
-                       the power in the settings of the ESC, and check the pulse sensor.";
-            failed(found, fix)
-        })
+    let curve = fit_speed_curve(&levels, BREAKAWAY_US, AT_SPEED).ok_or_else(|| {
+        let count = levels.len();
+        let found = format!("{count} settled speeds give no curve of speed over pulse");
+        let fix = "The motor turns too fast or too unsteadily within 150 us of neutral: reduce the \
+                   power in the settings of the ESC, and check the pulse sensor.";
+        failed(found, fix)
+    })?;
+    Ok(Some(curve))
 }
 
 /// Pulses beyond neutral and their settled speeds, up and down again.

@@ -38,8 +38,8 @@ pub(super) fn straight(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let drive = floor::drive(bench, METRE / SLOW, "a straight metre", &wanted)?.completed()?;
     let ends = [1.5, METRE / SLOW - 0.2].map(|far| drive.when(far));
     let body_yaw = bench.configuration().motion_capture.marker_yaw_rad;
-    let motion = between(&drive.readings.motion(0.0), ends[0], ends[1]);
-    let ([first, .., last], [from, .., to]) = (&motion.time[..], &motion.yaw[..]) else {
+    let motion = drive.readings.motion(0.0).between(ends);
+    let [first, .., last] = &motion.0[..] else {
         let fix = "check that all markers are visible, and run it again";
         return Err(failed("the cameras saw too little of it", fix));
     };
@@ -48,8 +48,8 @@ pub(super) fn straight(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let (along, across) = (moved.x, moved.y);
     let course = across.atan2(along);
     let way = drive.readings.way();
-    let ratio = (way.at(*last) - way.at(*first)) / along.hypot(across);
-    let turn = to - from;
+    let ratio = (way.at(last.time) - way.at(first.time)) / along.hypot(across);
+    let turn = last.yaw - first.yaw;
     let is_good = course.abs() < LARGEST_COURSE && (ratio - 1.0).abs() < LARGEST_RATIO;
     let found = format!(
         "{:.2} m at {:.1} degrees to its axis, turned by {:.1} degrees; the pulses say {:.1} % of \
@@ -124,14 +124,11 @@ fn with_sensors(mut finding: Finding, config: &Config, readings: &Readings) -> F
         forward_acceleration: inertial.acceleration[0],
         left_acceleration: inertial.acceleration[1],
     };
-    let boards = readings.boards.iter();
+    let speed = |board: &BoardReading| (board.time, board.motor_speed);
     let read = sensors::Readings {
         inertial: readings.inertial().map(sample).collect(),
-        motor: boards
-            .clone()
-            .map(|board| (board.time, board.motor_speed))
-            .collect(),
-        steering: boards.map(angle).collect(),
+        motor: readings.boards.iter().map(speed).collect(),
+        steering: readings.boards.iter().map(angle).collect(),
     };
     let poses: Vec<_> = readings.poses.iter().map(pose).collect();
     let wheelbase = config.vehicle.wheelbase_m();
@@ -167,18 +164,6 @@ fn weave(time: f64) -> [f64; 2] {
         [amplitude * (2.0 - 4.0 * phase), -across]
     } else {
         [amplitude * (4.0 * phase - 4.0), across]
-    }
-}
-
-/// The motion between two times.
-fn between(motion: &Motion, begin: f64, end: f64) -> Motion {
-    let first = motion.time.partition_point(|time| *time < begin);
-    let last = motion.time.partition_point(|time| *time < end).max(first);
-    Motion {
-        time: motion.time[first..last].to_vec(),
-        position: motion.position[first..last].to_vec(),
-        yaw: motion.yaw[first..last].to_vec(),
-        yaw_rate: motion.yaw_rate[first..last].to_vec(),
     }
 }
 
@@ -230,12 +215,11 @@ fn identified(
     };
     let believed = bench.configuration().clone();
     let vehicle = &believed.vehicle;
-    let [over, of] = readings.latency();
-    let late = if of > 0.0 { over / of } else { 0.0 };
+    let late = readings.latency();
     let motion = readings.motion(late);
     let (pulses, way) = (readings.servo(), readings.way());
     let passes = bounds.windows(2).map(|ends| {
-        let motion = between(&motion, ends[0], ends[1]);
+        let motion = motion.between([ends[0], ends[1]]);
         Pass::of(motion, &pulses, &way, &believed)
     });
     let passes: Vec<Pass<'_>> = passes.collect::<Option<_>>().ok_or_else(undetermined)?;
@@ -345,8 +329,9 @@ fn identified(
 /// The way of the body in a pass, and the yaw rate in the middle of it.
 fn plot(bench: &mut dyn Bench, pass: &Pass<'_>) {
     const SHOWN: f64 = 6.0;
-    let position = pass.driven.motion.position.clone();
-    let lines = vec![PlotLine::new("body", PlotKind::Measured, position)];
+    let moments = pass.driven.motion.0.iter();
+    let places = moments.map(|moment| moment.position).collect();
+    let lines = vec![PlotLine::new("body", PlotKind::Measured, places)];
     let title = "The body on both circles";
     bench.plot(&Plot::new("bends", title, Plot::PLACES, lines));
     let rates = pass.driven.yaw_rates(&pass.wheels);
@@ -395,7 +380,7 @@ impl Bent {
         let centre_us = fit::mean(passes.iter().map(|pass| pass.wheels.centre_us))?;
         let gain_us_per_rad = fit::mean(passes.iter().map(|pass| pass.wheels.gain_us_per_rad))?;
         let (first, last) = (&passes.first()?.driven, &passes.last()?.driven);
-        let times = *first.motion.time.first()?..*last.motion.time.last()?;
+        let times = first.motion.0.first()?.time..last.motion.0.last()?.time;
         let driven = first
             .pulses
             .0

@@ -258,10 +258,7 @@ pub(super) fn roll_out(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         .iter()
         .map(|(speed, braking)| format!("{braking:.2} from {speed:.1} m/s"))
         .collect();
-    let verdict = match weakest {
-        Some(_) => Verdict::Good,
-        None => Verdict::Failed,
-    };
+    let verdict = Verdict::Failed.unless(weakest.is_some());
     let found = format!(
         "decelerations in m/s2: {}; the geofence counts on {counted}, and the car may drive up to \
          {} m/s",

@@ -47,12 +47,8 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     }
     check_wheels(&readings, &mut checks);
     let lines = vec![PlotLine::new("gyro", PlotKind::Measured, readings.gyro())];
-    checks.plot(&Plot::new(
-        "rest",
-        "The gyro at rest",
-        Plot::YAW_RATE,
-        lines,
-    ));
+    let title = "The gyro at rest";
+    checks.plot(&Plot::new("rest", title, Plot::YAW_RATE, lines));
     checks.finding()
 }
 
@@ -90,13 +86,10 @@ fn check_registers(readings: &Readings, checks: &mut Checks<'_>) {
 fn check_gyro(samples: &[Inertial], checks: &mut Checks<'_>) {
     let rates = samples.iter().map(|sample| sample.angular_velocity[2]);
     let rates: Vec<f64> = rates.collect();
-    let means = block_means(&rates, BLOCKS);
-    let Some(noise) = standard_deviation(&rates) else {
-        return;
-    };
+    let noise = standard_deviation(&rates).unwrap_or(0.0);
     // Noise of more than a step makes the mean finer than the steps.
     let steps = if noise > HALF_STEP { 0.1 } else { 1.0 } * HALF_STEP;
-    let Some(bias) = mean_interval(&means, steps) else {
+    let Some(bias) = mean_interval(block_means(&rates, BLOCKS), steps) else {
         return;
     };
     let limit = checks.config().watch.max_gyro_bias_rad_s / 4.0;

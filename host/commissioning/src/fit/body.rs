@@ -95,35 +95,26 @@ const WINDOW: f64 = 1.0;
 /// pulses. None without bends to both sides.
 pub(crate) fn body(motion: &Motion, way: &Signal, body_yaw: f64, rear_slip: f64) -> Option<Body> {
     let displacement = motion.displacement(body_yaw);
-    // Turn, way along and across, slip, way of the motor.
-    let mut windows: Vec<[f64; 5]> = Vec::new();
+    let (mut sideways, mut forward) = (Vec::new(), Vec::new());
     let mut start = 0;
-    for end in 1..motion.time.len() {
-        let span = motion.time[end] - motion.time[start];
+    for (index, end) in motion.0.iter().enumerate() {
+        let begin = motion.0[start];
+        let span = end.time - begin.time;
         if span < WINDOW {
             continue;
         }
-        let turn = motion.yaw[end] - motion.yaw[start];
-        let moved = &displacement[start..end];
+        let turn = end.yaw - begin.yaw;
+        let moved = &displacement[start..index];
         let along: f64 = moved.iter().map(|[along, _]| along).sum();
         let across: f64 = moved.iter().map(|[_, across]| across).sum();
         let speed = along / span;
-        let motor = way.at(motion.time[end]) - way.at(motion.time[start]);
-        windows.push([turn, along, across, rear_slip * speed * speed * turn, motor]);
-        start = end;
+        let slip = rear_slip * speed * speed * turn;
+        sideways.push(([turn, -along], across + slip));
+        forward.push(([way.at(end.time) - way.at(begin.time), -turn], along));
+        start = index;
     }
-    let sideways = least_squares(
-        windows
-            .iter()
-            .map(|&[turn, along, across, slip, _]| ([turn, -along], across + slip)),
-    )?;
-    let [ahead, turned] = sideways.parameters;
-    let forward = least_squares(
-        windows
-            .iter()
-            .map(|&[turn, along, _, _, motor]| ([motor, -turn], along)),
-    )?;
-    let [_, left] = forward.parameters;
+    let [ahead, turned] = least_squares(sideways.iter().copied())?.parameters;
+    let [_, left] = least_squares(forward.iter().copied())?.parameters;
     Some(Body {
         yaw: body_yaw + turned,
         ahead,

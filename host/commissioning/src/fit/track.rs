@@ -10,18 +10,22 @@ use singletrack_control::{interpolate, unwrap_near};
 use super::{Reading, sample_times};
 use crate::{BoardReading, Inertial, observed::Readings};
 
-/// The values of a drive at the times of its poses.
-#[derive(Clone, Debug)]
-pub(crate) struct Motion {
+/// A drive at the time of a pose.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Moment {
     /// Time by the clock of the gyro, s.
-    pub(crate) time: Vec<f64>,
+    pub(crate) time: f64,
     /// Position of the rigid body, m.
-    pub(crate) position: Vec<[f64; 2]>,
+    pub(crate) position: [f64; 2],
     /// Yaw of the rigid body, smoothed with the gyro, rad.
-    pub(crate) yaw: Vec<f64>,
+    pub(crate) yaw: f64,
     /// Yaw rate, rad/s.
-    pub(crate) yaw_rate: Vec<f64>,
+    pub(crate) yaw_rate: f64,
 }
+
+/// The motion of a drive, in the order of time.
+#[derive(Clone, Debug)]
+pub(crate) struct Motion(pub(crate) Vec<Moment>);
 
 /// What is averaged to smooth the yaw: poses on both sides. The gyro bridges them.
 const SMOOTHED: usize = 15;
@@ -77,13 +81,12 @@ impl Readings {
         Signal(speeds.collect()).integral()
     }
 
-    /// The lateness of the poses' stamps against the gyro, s, as two sums of which it is the quotient, so
-    /// that drives can be added. None without motion.
-    pub(crate) fn latency(&self) -> [f64; 2] {
+    /// The lateness of the poses' stamps against the gyro, s; zero without motion.
+    pub(crate) fn latency(&self) -> f64 {
         let (rate, _) = self.rate();
         let smooth = rate.smoothed(2);
         let turned = rate.integral();
-        let mut sums = [0.0; 2];
+        let [mut product, mut square] = [0.0; 2];
         let yaws = self.yaws();
         let mut rest = &yaws[..];
         while let [[start, _], ..] = rest {
@@ -98,11 +101,11 @@ impl Readings {
             let rates = window.iter().map(|[time, _]| smooth.at(*time));
             let pairs = detrended(times.clone(), lead).into_iter();
             for (lead, rate) in pairs.zip(detrended(times, rates)) {
-                sums[0] += lead * rate;
-                sums[1] += rate * rate;
+                product += lead * rate;
+                square += rate * rate;
             }
         }
-        sums
+        if square > 0.0 { product / square } else { 0.0 }
     }
 
     /// The motion at the poses, whose stamps are late by `latency` s.
@@ -116,15 +119,14 @@ impl Readings {
         let smooth = lead.into_iter();
         let smooth = smooth.map(|[time, lead]| [time, turned.at(time) + lead]);
         let smooth: Vec<[f64; 2]> = smooth.collect();
-        let poses = self.poses.iter();
-        Motion {
-            position: poses
-                .map(|pose| [pose.position[0], pose.position[1]])
-                .collect(),
-            yaw_rate: slopes(&smooth, 1),
-            time: smooth.iter().map(|[time, _]| *time).collect(),
-            yaw: smooth.iter().map(|[_, yaw]| *yaw).collect(),
-        }
+        let moments = self.poses.iter().zip(slopes(&smooth, 1)).zip(&smooth);
+        let moments = moments.map(|((pose, yaw_rate), &[time, yaw])| Moment {
+            time,
+            position: [pose.position[0], pose.position[1]],
+            yaw,
+            yaw_rate,
+        });
+        Motion(moments.collect())
     }
 }
 
@@ -188,30 +190,37 @@ impl Signal {
 }
 
 impl Motion {
+    /// The part between two times.
+    pub(crate) fn between(&self, [begin, end]: [f64; 2]) -> Self {
+        let mut part = self.clone();
+        part.0.retain(|moment| (begin..end).contains(&moment.time));
+        part
+    }
+
     /// The displacement of the rigid body from pose to pose, along and across a car whose yaw is
     /// that of the body less `body_yaw`, m.
     pub(crate) fn displacement(&self, body_yaw: f64) -> Vec<[f64; 2]> {
-        (1..self.time.len())
-            .map(|index| {
-                let [x0, y0] = self.position[index - 1];
-                let [x1, y1] = self.position[index];
-                let (dx, dy) = (x1 - x0, y1 - y0);
-                let yaw = f64::midpoint(self.yaw[index - 1], self.yaw[index]) - body_yaw;
-                let (sin, cos) = yaw.sin_cos();
-                [dx * cos + dy * sin, dy * cos - dx * sin]
-            })
-            .collect()
+        let steps = self.0.windows(2).map(|pair| {
+            let [dx, dy] = [0, 1].map(|axis| pair[1].position[axis] - pair[0].position[axis]);
+            let yaw = f64::midpoint(pair[0].yaw, pair[1].yaw) - body_yaw;
+            let (sin, cos) = yaw.sin_cos();
+            [dx * cos + dy * sin, dy * cos - dx * sin]
+        });
+        steps.collect()
     }
 
     /// The way of the rear axle since the first pose, m, at the times of the poses, when the pivot is `left` m to the left
     /// of the car's middle.
     pub(crate) fn rear_way(&self, body_yaw: f64, left: f64) -> Vec<[f64; 2]> {
         let mut way = 0.0;
-        let begin = self.time.first().map(|time| [*time, 0.0]);
-        let steps = self.displacement(body_yaw).into_iter().enumerate();
-        let ways = steps.map(|(index, [along, _])| {
-            way += along + left * (self.yaw[index + 1] - self.yaw[index]);
-            [self.time[index + 1], way]
+        let begin = self.0.first().map(|first| [first.time, 0.0]);
+        let steps = self
+            .displacement(body_yaw)
+            .into_iter()
+            .zip(self.0.windows(2));
+        let ways = steps.map(|([along, _], pair)| {
+            way += along + left * (pair[1].yaw - pair[0].yaw);
+            [pair[1].time, way]
         });
         begin.into_iter().chain(ways).collect()
     }

@@ -104,8 +104,9 @@ impl Driven<'_> {
         let (_, [centre_us, inverse, lag, delay]) = with_play(play_us)?;
         let found = [centre_us, inverse, lag, delay, play_us];
         let mut sums = [[0.0; 2]; 2];
-        for (residual, rate) in residuals(&found).iter().zip(&self.motion.yaw_rate[1..]) {
-            let side = usize::from(*rate < 0.0);
+        for (residual, moment) in residuals(&found).iter().zip(&self.motion.0[1..]) {
+            let rate = moment.yaw_rate;
+            let side = usize::from(rate < 0.0);
             sums[side][0] += residual * rate.signum();
             sums[side][1] += rate.abs();
         }
@@ -145,37 +146,34 @@ impl Driven<'_> {
     pub(crate) fn yaw_rates(&self, found: &Wheels) -> Vec<[f64; 3]> {
         let angle = |pulse: f64| (pulse - found.centre_us) / found.gain_us_per_rad;
         let residuals = self.residuals(&angle, [found.lag, found.delay, found.play_us]);
-        let steps = self.motion.time.windows(2).zip(self.motion.yaw.windows(2));
-        let rates = steps.zip(residuals).map(|((time, yaw), residual)| {
-            let rate = (yaw[1] - yaw[0]) / (time[1] - time[0]);
-            [f64::midpoint(time[0], time[1]), rate, rate - residual]
+        let steps = self.motion.0.windows(2);
+        let rates = steps.zip(residuals).map(|(pair, residual)| {
+            let (begin, end) = (pair[0], pair[1]);
+            let rate = (end.yaw - begin.yaw) / (end.time - begin.time);
+            [f64::midpoint(begin.time, end.time), rate, rate - residual]
         });
         rates.collect()
     }
 
     /// The differences of the measured yaw rate from that of the model, from pose to pose, rad/s.
     fn residuals(&self, angle: &dyn Fn(f64) -> f64, [lag, delay, play_us]: [f64; 3]) -> Vec<f64> {
-        let Self {
-            motion,
-            pulses,
-            speed,
-            vehicle,
-        } = self;
-        let Some(&start) = motion.time.first() else {
+        let (pulses, speed, vehicle) = (self.pulses, &self.speed, self.vehicle);
+        let Some(first) = self.motion.0.first() else {
             return Vec::new();
         };
-        let mut now = start - AHEAD;
+        let mut now = first.time - AHEAD;
         let mut held = pulses.at(now - delay);
         let mut turned = angle(held);
         let bend = turned / vehicle.wheelbase_m();
         let beta = bend * vehicle.rear_axle_distance_m;
         let mut state = [bend * speed.first().unwrap_or(&0.0), beta];
         let share = 1.0 - (-STEP / lag).exp();
-        (1..motion.time.len())
-            .map(|index| {
-                let [t0, t1] = [motion.time[index - 1], motion.time[index]];
-                let middle = f64::midpoint(t0, t1);
-                let speed = f64::midpoint(speed[index - 1], speed[index]);
+        let steps = self.motion.0.windows(2).zip(speed.windows(2));
+        steps
+            .map(|(pair, speed)| {
+                let (begin, end) = (pair[0], pair[1]);
+                let middle = f64::midpoint(begin.time, end.time);
+                let speed = f64::midpoint(speed[0], speed[1]);
                 while now + STEP <= middle {
                     now += STEP;
                     let pulse = pulses.mean(now - delay, STEP);
@@ -185,10 +183,10 @@ impl Driven<'_> {
                     let steered = f64::midpoint(before, turned);
                     state = step(vehicle, state, speed.max(SLOWEST), steered, STEP);
                 }
-                if speed < SLOWEST || t1 <= t0 {
+                if speed < SLOWEST || end.time <= begin.time {
                     return 0.0;
                 }
-                let rate = (motion.yaw[index] - motion.yaw[index - 1]) / (t1 - t0);
+                let rate = (end.yaw - begin.yaw) / (end.time - begin.time);
                 // The remaining part of a step, as if the motion changed evenly.
                 let next = step(vehicle, state, speed, turned, STEP)[0];
                 let rest = (middle - now) / STEP;
@@ -295,6 +293,7 @@ mod tests {
     use singletrack_control::statistics::Random;
 
     use super::*;
+    use crate::fit::track::Moment;
 
     const CAR: VehicleParameters = VehicleParameters {
         mass_kg: 1.9,
@@ -345,12 +344,7 @@ mod tests {
                 .map(|time| (time, wanted(time)))
                 .collect(),
         );
-        let mut motion = Motion {
-            time: Vec::new(),
-            position: Vec::new(),
-            yaw: Vec::new(),
-            yaw_rate: Vec::new(),
-        };
+        let mut motion = Vec::new();
         let step = 2e-4;
         let (mut held, mut turned, mut yaw) = (wanted(0.0), 0.3, 0.0);
         let mut state = [0.3, 0.14];
@@ -363,20 +357,22 @@ mod tests {
             state = super::step(&CAR, state, 0.28, turned, step);
             yaw += step * state[0];
             if index % 50 == 0 && now > 0.3 {
-                motion.time.push(now + step);
-                motion.position.push([0.0; 2]);
                 // White noise of the gyro's rate.
                 yaw += 1e-4 * noise.normal(1.0);
-                motion.yaw.push(yaw);
-                motion.yaw_rate.push(state[0]);
+                motion.push(Moment {
+                    time: now + step,
+                    position: [0.0; 2],
+                    yaw,
+                    yaw_rate: state[0],
+                });
             }
         }
-        (motion, pulses)
+        (Motion(motion), pulses)
     }
 
     fn driven((motion, pulses): &(Motion, Frames)) -> Driven<'_> {
         Driven {
-            speed: vec![0.28; motion.time.len()],
+            speed: vec![0.28; motion.0.len()],
             motion: motion.clone(),
             pulses,
             vehicle: &CAR,
