@@ -286,7 +286,7 @@ fn uncommented(text: &str, table: &str, name: &str, value: &Value) -> Option<Str
     let is_header = |line: &&str| line.split('#').next().unwrap_or("").trim() == header;
     let begin = match table {
         "" => 0,
-        _ => 1 + lines.iter().position(|line| is_header(line))?,
+        _ => 1 + lines.iter().position(is_header)?,
     };
     let of_table = lines[begin..]
         .iter()

@@ -282,11 +282,9 @@ pub(crate) fn change(
 ) -> Result<(), Trouble> {
     bench.change(values).map_err(|refused| {
         let keys: Vec<_> = values.iter().map(|(key, _)| *key).collect();
+        let found = format!("{} can't be changed: {refused}", keys.join(", "));
         let fix = "Correct the configuration file as the message says, and run this step again.";
-        failed(
-            format!("{} can't be changed: {refused}", keys.join(", ")),
-            fix,
-        )
+        failed(found, fix)
     })
 }
 

@@ -139,26 +139,20 @@ pub(crate) fn compare(levels: &[NoiseLevel], estimator: &EstimatorSection) -> Co
     };
     let measured = Belief::of(levels);
     let found = levels.iter().map(|level| {
-        let NoiseLevel {
-            speed,
-            forward,
-            left,
-            yaw_rate,
-        } = level;
-        let when = match *speed {
+        let when = match level.speed {
             0.0 => "at rest".to_owned(),
             speed => format!("at {speed:.2} m/s"),
         };
         format!(
             "{when}: acceleration {:.3} forward and {:.3} m/s² left a sample, {} and {} m/s²/√Hz \
              (believed {}); yaw rate {:.4} rad/s a sample, {} rad/s/√Hz (believed {})",
-            forward.deviation,
-            left.deviation,
-            digits(forward.density.value),
-            digits(left.density.value),
-            digits(believed.acceleration(*speed)),
-            yaw_rate.deviation,
-            digits(yaw_rate.density.value),
+            level.forward.deviation,
+            level.left.deviation,
+            digits(level.forward.density.value),
+            digits(level.left.density.value),
+            digits(believed.acceleration(level.speed)),
+            level.yaw_rate.deviation,
+            digits(level.yaw_rate.density.value),
             digits(believed.gyro),
         )
     });

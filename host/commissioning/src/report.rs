@@ -55,11 +55,8 @@ pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
                 let because = if parameter.why.is_empty() { "" } else { ": " };
                 format!("`{key} = {}`{because}{}", value.trim(), parameter.why)
             });
-            let (name, unit, written) = (
-                &parameter.name,
-                &parameter.unit,
-                written.unwrap_or_default(),
-            );
+            let written = written.unwrap_or_default();
+            let Parameter { name, unit, .. } = parameter;
             let _ = writeln!(
                 page,
                 "| {name} | {value} | {interval} | {unit} | {written} |"

@@ -113,10 +113,7 @@ pub fn compare(
         inertial(|sample| sample.forward_acceleration, 2),
         inertial(|sample| sample.left_acceleration, 2),
     ];
-    let moved = [
-        truth(|motion| motion.acceleration[0]),
-        truth(|motion| motion.acceleration[1]),
-    ];
+    let moved = [0, 1].map(|axis| grid.truth(|motion| motion.acceleration[axis]));
     let mounting = Mounting::of(&moved, &read, lag);
     let turned = mounting.finding();
     let keys = ["imu.forward_acceleration", "imu.left_acceleration"];
@@ -315,8 +312,7 @@ impl Sensor {
 
     /// Whether the sensor says what the cameras say, and when is known.
     fn agrees(&self) -> bool {
-        let is_known = self.lag_deviation_s < LAG_KNOWN && self.gain > BETTER;
-        self.correlation.abs() > AGREES && is_known
+        self.correlation.abs() > AGREES && self.lag_deviation_s < LAG_KNOWN && self.gain > BETTER
     }
 
     /// Whether it sees any of what the cameras say.
@@ -405,14 +401,11 @@ impl Mounting {
         const NAMES: [&str; 2] = ["accelerometer, forward", "accelerometer, left"];
         let [forward, left] = moved;
         let [ahead, beside] = read;
-        let straight = [
-            Sensor::at(lag, NAMES[0], forward, ahead),
-            Sensor::at(lag, NAMES[1], left, beside),
-        ];
-        let crossed = [
-            Sensor::at(lag, NAMES[0], left, ahead),
-            Sensor::at(lag, NAMES[1], forward, beside),
-        ];
+        let pair = |one: &Signal, other: &Signal| {
+            let ahead = Sensor::at(lag, NAMES[0], one, ahead);
+            [ahead, Sensor::at(lag, NAMES[1], other, beside)]
+        };
+        let (straight, crossed) = (pair(forward, left), pair(left, forward));
         let weight = |pair: &[Option<Sensor>; 2]| {
             let seen = pair.iter().flatten().filter(|sensor| sensor.sees());
             seen.map(|sensor| sensor.correlation.abs()).sum::<f64>()

@@ -77,7 +77,7 @@ impl<'a> Car<'a> {
     /// Waits until the place of the car and the board's telemetry are known.
     pub(super) fn look(bench: &'a mut dyn Bench) -> Result<Self, Trouble> {
         let mut car = Self::begin(bench)?;
-        let is_unknown = |car: &Self| car.board.is_none() || !car.place.is_known();
+        let is_unknown = |car: &Self| car.board.is_none() || car.place.poses < PLACE_POSES;
         car.wait_while(10.0, is_unknown, |car| match car.board {
             None => failed("the board sends no telemetry", CHECK_LINE),
             Some(_) => failed(
@@ -338,7 +338,13 @@ impl<'a> Car<'a> {
             self.hold(rest, 0.1, "neutral")?;
             self.disarm()?;
         }
-        self.until_standing(8.0)
+        let turns = |car: &Self| car.board.is_some_and(|board| board.turns());
+        self.wait_while(8.0, turns, |_| {
+            let found = "the motor still turns 8 s after its pulse went to neutral";
+            let fix = "Cut the supply of the ESC. Its neutral is another than \
+                       board.esc.neutral_us, or it is stuck.";
+            failed(found, fix)
+        })
     }
 
     /// Asks for the end of the jog, and waits for it.
@@ -364,18 +370,6 @@ impl<'a> Car<'a> {
     fn is_silent(&self) -> bool {
         let heard = self.board.map_or(self.now, |board| board.receive);
         !self.linked || self.now.seconds_since(heard) >= SILENT_S
-    }
-
-    /// Waits until the motor's pulses have ceased.
-    fn until_standing(&mut self, seconds: f64) -> Result<(), Trouble> {
-        let turns = |car: &Self| car.board.is_some_and(|board| board.turns());
-        self.wait_while(seconds, turns, |_| {
-            let found =
-                format!("the motor still turns {seconds} s after its pulse went to neutral");
-            let fix = "Cut the supply of the ESC. Its neutral is another than \
-                       board.esc.neutral_us, or it is stuck.";
-            failed(found, fix)
-        })
     }
 
     /// The bench, for its configuration.
@@ -464,9 +458,5 @@ impl Place {
         if self.off >= MOVING_POSES || way > JUMPS_M {
             self.left = Some(way);
         }
-    }
-
-    fn is_known(&self) -> bool {
-        self.poses >= PLACE_POSES
     }
 }

@@ -97,8 +97,7 @@ pub(super) fn find_neutral<const SECONDS: u32>(bench: &mut dyn Bench) -> Result<
     let orders = if bench.configuration().board.kill_output {
         // The board starts the ESC: there is one order.
         let readings = armed(bench, |car| {
-            let rest = car.rest();
-            watch_sensor(car, |car| car.hold(rest, seconds, "armed at neutral"))
+            watch_sensor(car, |car| car.hold(car.rest(), seconds, "armed at neutral"))
         })?;
         check_neutral(&readings, "after the board")?;
         check_still(bench)?;
@@ -217,8 +216,7 @@ pub(super) fn find_kind(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let offset_us = esc.deadband_us + (speed * feed_forward).round() as u16;
         beyond(esc.neutral_us, offset_us.min(JOG_LIMIT_US), false).max(esc.min_us)
     };
-    let farthest_us = beyond(esc.neutral_us, JOG_LIMIT_US, false).max(esc.min_us);
-    let mut brake_us = farthest_us;
+    let mut brake_us = beyond(esc.neutral_us, JOG_LIMIT_US, false).max(esc.min_us);
     let seen = armed(bench, |car| {
         let at_rest = at_rest(car, pulse_of(AT_REST))?;
         if at_rest.contains(&true) {

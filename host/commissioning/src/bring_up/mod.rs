@@ -212,11 +212,9 @@ fn noise_plot(levels: &[NoiseLevel]) -> Plot {
         line("left", PlotKind::Other, |level| level.left.density.value),
     ];
     let title = "The accelerometer's noise with the wheels turning";
-    let speed = ("speed of the wheels", "m/s");
-    Plot::new(
-        "imu-noise",
-        title,
-        [speed, ("noise density", "m/s²/√Hz")],
-        lines,
-    )
+    let axes = [
+        ("speed of the wheels", "m/s"),
+        ("noise density", "m/s²/√Hz"),
+    ];
+    Plot::new("imu-noise", title, axes, lines)
 }

@@ -135,8 +135,7 @@ pub(super) fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         };
         Ok((ahead, reverse, brake))
     })?;
-    let esc = bench.configuration().board.esc;
-    let configured = f64::from(esc.neutral_us);
+    let configured = f64::from(bench.configuration().board.esc.neutral_us);
     let upper = ahead.edge;
     // Both relative to the configured neutral.
     let (neutral, deadband, how) = match (reverse, brake) {
@@ -394,8 +393,7 @@ fn slows_down(
     let rest = car.rest();
     car.hold_until_standing(rest, 0.8)?;
     let esc_us = beyond(rest.esc_us, ahead_us, true);
-    let drive = Jog { esc_us, ..rest };
-    let readings = car.hold(drive, 1.2, "turning")?;
+    let readings = car.hold(Jog { esc_us, ..rest }, 1.2, "turning")?;
     let speed = mean_speed(&readings[readings.len() / 2..]);
     let esc_us = beyond(rest.esc_us, offset_us, false);
     let slow = Jog { esc_us, ..rest };

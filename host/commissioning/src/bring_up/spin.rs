@@ -57,8 +57,7 @@ impl Car<'_> {
         seconds: f64,
         what: &str,
     ) -> Result<Spun, Trouble> {
-        let first = self.first_turn(true, from_us)?;
-        let mut jog = first.ok_or_else(never_turned)?;
+        let mut jog = self.first_turn(true, from_us)?.ok_or_else(never_turned)?;
         let highest = self.rest().esc_us + JOG_LIMIT_US;
         let begin = self.now;
         let mut spun = Spun::default();
@@ -179,10 +178,7 @@ pub(super) fn way(readings: &[BoardReading]) -> f64 {
     readings
         .windows(2)
         .take_while(|pair| pair[1].motor_speed.abs() > CREEPS)
-        .map(|pair| {
-            let elapsed = pair[1].receive.seconds_since(pair[0].receive);
-            pair[1].motor_speed.abs() * elapsed
-        })
+        .map(|pair| pair[1].motor_speed.abs() * pair[1].receive.seconds_since(pair[0].receive))
         .sum()
 }
 

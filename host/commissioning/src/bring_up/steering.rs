@@ -10,7 +10,7 @@ use crate::{
     Answer, Answers, Bench, BoardReading, Finding, Interval, Jog, Parameter, Trouble,
     calibrate::bends::straight_line,
     finding::{change, failed, keys, require},
-    fit::wheels::{Steering, fit_steering},
+    fit::wheels::fit_steering,
 };
 
 /// How far the servo turns to show its direction, us: 9 degrees with 800 us/rad.
@@ -199,7 +199,7 @@ pub(super) fn centre(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             .written("board.servo.centre_us", i64::from(centre_us)),
     ];
     change_servo(bench, keys(&parameters), |servo| {
-        servo.centre_us = centre_us
+        servo.centre_us = centre_us;
     })?;
     let wide = (up[1] - up[0]).abs().max((down[1] - down[0]).abs());
     let found = format!(
@@ -307,11 +307,8 @@ pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let fix = "Read the angle of the front wheels from straight on, left positive.";
         failed("the readings give no gain", fix)
     };
-    let Steering {
-        gain,
-        straight,
-        scatter,
-    } = fit_steering(&readings, READING_RAD, SCALE).ok_or_else(unread)?;
+    let fit = fit_steering(&readings, READING_RAD, SCALE).ok_or_else(unread)?;
+    let gain = fit.gain;
     if gain.value * believed < 0.0 {
         let found = format!(
             "the readings say {:.0} us/rad, and the wheels were seen to turn the other way",
@@ -337,11 +334,11 @@ pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         gain.value,
         gain.low,
         gain.high,
-        scatter.to_degrees(),
-        straight.value
+        fit.scatter.to_degrees(),
+        fit.straight.value
     );
     let fix = "Read the angles again: run the bring-up with --again.";
-    Ok(Finding::warning_if(scatter > 0.07, found, fix).with(parameters))
+    Ok(Finding::warning_if(fit.scatter > 0.07, found, fix).with(parameters))
 }
 
 /// Puts values of the servo in force, and lowers the steering limit to what it reaches as it is

@@ -234,8 +234,7 @@ fn kept_power(before: Option<BoardReading>, car: &Car<'_>) -> Result<bool, Troub
     let passed_s = now.receive.seconds_since(before.receive);
     let counted_s = f64::from(now.board_us.wrapping_sub(before.board_us)) * 1e-6;
     let goes_on = (counted_s - passed_s).abs() < 0.1 + 0.02 * passed_s;
-    let of_power = [ResetCause::PowerOn, ResetCause::BrownOut];
-    Ok(goes_on || !of_power.contains(&status.reset_cause))
+    Ok(goes_on || ![ResetCause::PowerOn, ResetCause::BrownOut].contains(&status.reset_cause))
 }
 
 /// A stop after which the board sends nothing; returns the last telemetry before.

@@ -2,11 +2,11 @@
 
 use singletrack_control::{Position, Time, Velocity, direction, wrap};
 use singletrack_core::Config;
-use singletrack_pilot::{Fence, Mode};
+use singletrack_pilot::{Fence, Mode, Reason};
 use singletrack_protocol::BoardMode;
 
 use crate::{
-    Answer, Attendance, Bench, Interrupted, Observation, Question, TickReading, Trouble,
+    Answer, Attendance, Bench, Interrupted, Question, TickReading, Trouble,
     finding::{change, failed, require, stopped},
     observed::Readings,
 };
@@ -84,23 +84,23 @@ pub(super) fn ready(bench: &mut dyn Bench) -> Result<TickReading, Trouble> {
     let mut reason = None;
     let mut rested = 0;
     for _ in 0..READY_TICKS {
-        observed.clear();
         bench.wait(&mut observed)?;
-        for observation in &observed {
-            if let Observation::Tick(tick) = observation {
-                reason = tick.preflight.or(tick.reason);
-                // The set-points begin with the request to arm.
-                let lacks_setpoints = tick.mode == Mode::Idle
-                    && tick.preflight == Some(singletrack_pilot::Reason::SetpointStale);
-                let is_ready = tick.mode == Mode::Ready || lacks_setpoints;
-                rested = if is_ready { rested + 1 } else { 0 };
-                if tick.pose.is_some() && rested > RESTS {
-                    return Ok(*tick);
-                }
+        let mut readings = Readings::default();
+        readings.take(&mut observed);
+        for tick in readings.ticks {
+            reason = tick.preflight.or(tick.reason);
+            // The set-points begin with the request to arm.
+            let is_ready = match tick.mode {
+                Mode::Idle => tick.preflight == Some(Reason::SetpointStale),
+                mode => mode == Mode::Ready,
+            };
+            rested = if is_ready { rested + 1 } else { 0 };
+            if tick.pose.is_some() && rested > RESTS {
+                return Ok(tick);
             }
         }
     }
-    let word = reason.map_or("no reason", singletrack_pilot::Reason::name);
+    let word = reason.map_or("no reason", Reason::name);
     Err(stopped("the car is not ready to be armed", word))
 }
 
@@ -376,7 +376,7 @@ pub(super) fn drive(
                 continue;
             }
             if tick.mode != Mode::Driving {
-                drive.reason = tick.reason.map(singletrack_pilot::Reason::name);
+                drive.reason = tick.reason.map(Reason::name);
                 is_over |= tick.mode != Mode::Slowing;
             }
             let behind = point.zip(next);

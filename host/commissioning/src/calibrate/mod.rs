@@ -53,20 +53,10 @@ pub const STEPS: [Step; 5] = [
 /// How long the operator has to cover the markers, s.
 const SECONDS: f64 = 30.0;
 
-/// What a stop for lack of poses is called. Markers that are covered one after the other give
-/// wrong poses first.
-const BY_MARKERS: [Reason; 4] = [
-    Reason::PoseTooOld,
-    Reason::BlindTooFar,
-    Reason::PoseImplausible,
-    Reason::PoseHeight,
-];
-
 fn cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let request = "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
                    from above, and keep them covered until it stands.";
-    let answer = bench.ask(&Question::begin("cover-markers", request))?;
-    if answer == Answer::Skip {
+    if bench.ask(&Question::begin("cover-markers", request))? == Answer::Skip {
         return Ok(Finding::new(Verdict::Skipped, "not done", ""));
     }
     let stands = floor::ready(bench)?;
@@ -80,7 +70,10 @@ fn cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let fix = "run this step again, and cover all markers until the car stands";
         return Ok(Finding::warning(found, fix));
     };
-    if !BY_MARKERS.map(Reason::name).contains(&reason) {
+    // Markers that are covered one after the other give wrong poses first.
+    use Reason::{BlindTooFar, PoseHeight, PoseImplausible, PoseTooOld};
+    let by_markers = [PoseTooOld, BlindTooFar, PoseImplausible, PoseHeight];
+    if !by_markers.map(Reason::name).contains(&reason) {
         return Err(stopped("stopped before its markers were covered", reason));
     }
     let config = bench.configuration();

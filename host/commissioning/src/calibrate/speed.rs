@@ -62,10 +62,8 @@ pub(super) fn speed(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let pulses = drive.readings.esc();
     let esc = &config.board.esc;
     let edge = f64::from(esc.neutral_us) + f64::from(esc.deadband_us);
-    let about = [
-        f64::from(config.board.speed.feed_forward_us_per_m_s).max(30.0),
-        edge,
-    ];
+    let feed_forward = f64::from(config.board.speed.feed_forward_us_per_m_s);
+    let about = [feed_forward.max(30.0), edge];
     let within = |from: f64, to: f64| {
         let ways = &ways[ways.partition_point(|[time, _]| *time < from)..];
         &ways[..ways.partition_point(|[time, _]| *time < to)]
@@ -164,11 +162,9 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
     ];
     change(bench, &keys(&parameters))?;
     let is_slow = lag.value + dead.value > 300.0;
-    let mut found = format!(
-        "{} rises of the speed; the wheels begin to turn at {:.0} us",
-        rises.len(),
-        edge.value,
-    );
+    let (count, edge_us) = (rises.len(), edge.value);
+    let mut found =
+        format!("{count} rises of the speed; the wheels begin to turn at {edge_us:.0} us");
     if let Some(Interval { value, .. }) = fit::mean_interval(rolls, 0.05) {
         found += &format!("; at neutral it slows down with {value:.2} m/s2");
     }

@@ -174,7 +174,7 @@ fn battery(status: &Status, checks: &mut Checks<'_>) -> Result<(), Interrupted> 
             range: [0.0, 60.0],
         },
     };
-    match checks.asks(voltmeter)? {
+    match checks.bench.ask(&voltmeter)? {
         Answer::Number(meter) => {
             let share = (volts - meter).abs() / meter.max(1.0);
             let found = format!("the voltmeter shows {meter:.2} V");
@@ -197,7 +197,11 @@ fn battery(status: &Status, checks: &mut Checks<'_>) -> Result<(), Interrupted> 
     let fix = "A0 is fed from somewhere else: wire the divider to the battery's plug";
     checks.check(noticed, found, "noticed", fix);
     let request = "Press Enter, then plug the battery in again.";
-    if checks.asks(Question::begin("plug-battery", request))? != Answer::Skip {
+    if checks
+        .bench
+        .ask(&Question::begin("plug-battery", request))?
+        != Answer::Skip
+    {
         let is_back = seen(checks, "battery", |status| !is_gone(status))?;
         let found = "battery plugged in";
         checks.check(is_back, found, "plugged in", "plug it in again");

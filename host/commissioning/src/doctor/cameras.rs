@@ -1,5 +1,7 @@
 //! The cameras: rate, height, identity of the body, and latency of its poses.
 
+use std::collections::BTreeSet;
+
 use singletrack_control::wrap;
 use singletrack_core::{Config, reasons::Why};
 use singletrack_pilot::Reason;
@@ -63,12 +65,10 @@ fn heights(readings: &Readings) -> Vec<f64> {
 
 /// The states of the frames without a pose, each once.
 fn states(readings: &Readings) -> String {
-    let mut words = readings.lost.clone();
-    words.sort_unstable();
-    words.dedup();
+    let words: BTreeSet<&str> = readings.lost.iter().copied().collect();
     match words.is_empty() {
         true => "none".to_owned(),
-        false => words.join(", "),
+        false => Vec::from_iter(words).join(", "),
     }
 }
 
@@ -134,8 +134,7 @@ fn check_stream(readings: &Readings, checks: &mut Checks<'_>) {
     checks.check(is_good, found, expected, fix);
     let error = mean(poses.clone().map(|pose| pose.mean_error)).unwrap_or(0.0);
     let noise = |axis: usize| {
-        let values = poses.clone().map(|pose| pose.position[axis]);
-        standard_deviation(values).unwrap_or(0.0)
+        standard_deviation(poses.clone().map(|pose| pose.position[axis])).unwrap_or(0.0)
     };
     let (error_mm, noise_mm) = (1e3 * error, 1e3 * noise(0).max(noise(1)));
     let found = format!("marker error {error_mm:.2} mm, noise {noise_mm:.2} mm");
@@ -192,22 +191,22 @@ fn check_push(checks: &mut Checks<'_>) -> Result<(), Interrupted> {
     checks.check(climb < CLIMB_M, found, expected, fix);
     if let Some(angle) = heading(&readings) {
         let degrees = angle.to_degrees();
-        let found = format!("it moved at {degrees:.0} degrees to its x axis");
-        match angle.abs() < 0.5 {
-            true => checks.good(found, "about 0"),
-            false => checks.good(
-                format!("{found}; step geometry measures it"),
+        let (more, expected) = match angle.abs() < 0.5 {
+            true => ("", "about 0"),
+            false => (
+                "; step geometry measures it",
                 "about 0, or any: it is measured",
             ),
-        }
+        };
+        let found = format!("it moved at {degrees:.0} degrees to its x axis{more}");
+        checks.good(found, expected);
     }
     Ok(())
 }
 
 /// The way of the wheels, by the believed distance of a pulse, in m.
 fn rolled(readings: &Readings) -> f64 {
-    let pairs = readings.boards.windows(2);
-    let way = pairs.map(|pair| {
+    let way = readings.boards.windows(2).map(|pair| {
         let passed = pair[1].time.seconds_since(pair[0].time).clamp(0.0, 0.1);
         pair[1].motor_speed.abs() * passed
     });
@@ -242,7 +241,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let again = "twist the car as asked, in view of the cameras, and run this step again";
         return Err(checks.fail("the car was not twisted", "10 s to and fro", again));
     };
-    checks.plot(&plot(&angles, &velocities));
+    checks.bench.plot(&plot(&angles, &velocities));
     let scale = delay.scale.value;
     if scale < 0.0 {
         let found = "gyro and cameras turn in opposite directions";

@@ -6,7 +6,7 @@ use singletrack_core::Config;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
 use crate::{
-    Answer, Bench, Finding, Inertial, Interrupted, Parameter, Plot, PoseReading, Question, Refused,
+    Answer, Bench, Finding, Inertial, Interrupted, Parameter, PoseReading, Question, Refused,
     Trouble, Verdict, finding::keys, observed::Readings,
 };
 
@@ -23,8 +23,7 @@ const PATIENCE_S: f64 = 90.0;
 impl Readings {
     /// Time from the first tick to the last, in s.
     pub(super) fn duration(&self) -> f64 {
-        let ends = ends(&self.ticks);
-        ends.map_or(0.0, |[first, last]| last.time.seconds_since(first.time))
+        ends(&self.ticks).map_or(0.0, |[first, last]| last.time.seconds_since(first.time))
     }
 
     /// Whether IMU and cameras have seen no movement for [`STILL_S`].
@@ -119,7 +118,7 @@ pub(super) fn distance(from: [f64; 3], to: [f64; 3]) -> f64 {
 
 /// A step of the doctor: gathers readings, and keeps what its checks find.
 pub(super) struct Checks<'a> {
-    bench: &'a mut dyn Bench,
+    pub(super) bench: &'a mut dyn Bench,
     /// The verdict of each check, and what was found, was expected and is to be done.
     made: Vec<(Verdict, [String; 3])>,
     parameters: Vec<Parameter>,
@@ -193,7 +192,11 @@ impl<'a> Checks<'a> {
         if mode(&readings) != Some(BoardMode::EmergencyStopped) {
             return Ok(true);
         }
-        if self.asks(Question::begin("press-reset", PRESS_RESET))? == Answer::Skip {
+        if self
+            .bench
+            .ask(&Question::begin("press-reset", PRESS_RESET))?
+            == Answer::Skip
+        {
             return Ok(false);
         }
         // Nothing but a reset ends an emergency stop; the silence of the reset itself may have begun
@@ -207,11 +210,6 @@ impl<'a> Checks<'a> {
         Ok(is_reset)
     }
 
-    /// Asks the operator.
-    pub(super) fn asks(&mut self, question: Question) -> Result<Answer, Interrupted> {
-        self.bench.ask(&question)
-    }
-
     /// Asks for an action that the operator begins right after the answer. Returns whether it was
     /// skipped.
     pub(super) fn skips(
@@ -220,7 +218,7 @@ impl<'a> Checks<'a> {
         id: &'static str,
         request: &'static str,
     ) -> Result<bool, Interrupted> {
-        let is_skipped = self.asks(Question::begin(id, request))? == Answer::Skip;
+        let is_skipped = self.bench.ask(&Question::begin(id, request))? == Answer::Skip;
         if is_skipped {
             self.skipped(what);
         }
@@ -238,11 +236,6 @@ impl<'a> Checks<'a> {
             true => Err(self.ends()),
             false => Ok(()),
         }
-    }
-
-    /// Takes a plot for the page.
-    pub(super) fn plot(&mut self, plot: &Plot) {
-        self.bench.plot(plot);
     }
 
     /// Puts values in force. A stopped board accepts no configuration: it is reset first.

@@ -61,18 +61,17 @@ pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 fn turns(checks: &mut Checks<'_>) -> Result<Vec<[f64; 2]>, Trouble> {
     let mut origins = Vec::new();
     let mut paths = [const { Vec::new() }; 2];
-    for turn in 0..2 * TURNS {
-        let (id, request) = if turn % 2 == 0 {
-            let request = "Mark a point on the floor and put the middle of the rear axle over it. \
-                           Press Enter, then turn the car to the left by a whole turn, in about \
-                           ten seconds, and keep the middle of the rear axle over the point.";
-            ("turn-left-about-rear-axle", request)
-        } else {
-            let request = "Put the middle of the rear axle over the point again. Press Enter, then \
-                           turn the car to the right by a whole turn, in about ten seconds, and \
-                           keep the middle of the rear axle over the point.";
-            ("turn-right-about-rear-axle", request)
-        };
+    let left = "Mark a point on the floor and put the middle of the rear axle over it. Press Enter, \
+                then turn the car to the left by a whole turn, in about ten seconds, and keep the \
+                middle of the rear axle over the point.";
+    let right = "Put the middle of the rear axle over the point again. Press Enter, then turn the car \
+                 to the right by a whole turn, in about ten seconds, and keep the middle of the \
+                 rear axle over the point.";
+    let both = [
+        ("turn-left-about-rear-axle", left),
+        ("turn-right-about-rear-axle", right),
+    ];
+    for (id, request) in both.into_iter().cycle().take(2 * TURNS) {
         checks.needs("turn about the rear axle", id, request)?;
         let (readings, is_done) = checks.motion(|readings| {
             let angle = turned(&readings.poses);
@@ -85,8 +84,7 @@ fn turns(checks: &mut Checks<'_>) -> Result<Vec<[f64; 2]>, Trouble> {
             let wandered = |(_, by)| format!("the rear axle wandered by {:.0} mm", 1e3 * by);
             let found = found.map_or_else(|| "the car was not turned".to_owned(), wandered);
             let expected = "a whole turn about the middle of the rear axle";
-            let fix = "turn it as asked, and run this step again";
-            return Err(checks.fail(found, expected, fix));
+            return Err(checks.fail(found, expected, "turn it as asked, and run this step again"));
         };
         origins.push(origin);
         for (path, held) in paths.iter_mut().zip([[0.0; 2], origin]) {
@@ -101,7 +99,9 @@ fn turns(checks: &mut Checks<'_>) -> Result<Vec<[f64; 2]>, Trouble> {
         PlotLine::new("rear axle", PlotKind::Fitted, axle),
     ];
     let title = "Turns about the rear axle";
-    checks.plot(&Plot::new("turns", title, Plot::PLACES, lines));
+    checks
+        .bench
+        .plot(&Plot::new("turns", title, Plot::PLACES, lines));
     Ok(origins)
 }
 
@@ -189,10 +189,7 @@ fn place(origin: [Interval; 2], yaw: Interval, checks: &mut Checks<'_>) {
         let fix = "define the body's pivot on the car, in the cameras' program";
         checks.add(Failed, found, "", fix);
     }
-    let yaw = Interval {
-        value: wrap(yaw.value),
-        ..yaw.shifted(wrap(yaw.value) - yaw.value)
-    };
+    let yaw = yaw.shifted(wrap(yaw.value) - yaw.value);
     let rounded = round(yaw.value, 1e4);
     let yaw = Parameter::new("body-yaw", "rad", yaw);
     checks.measured(yaw.written("motion_capture.marker_yaw_rad", rounded));

@@ -135,44 +135,27 @@ const KEPT_US: u32 = 200;
 /// Number of readings in which the board has looked between two samples.
 const LOOKS: usize = 10;
 
-/// A sample of the IMU was read.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Reading {
-    /// When, s.
-    pub(crate) time: f64,
-    /// Its time on the board's clock, µs.
-    pub(crate) board_us: u32,
-}
+/// When a sample of the IMU was read, s, and its time on the board's clock, µs.
+pub(crate) type Reading = (f64, u32);
 
-/// The times of samples.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct SampleTimes {
-    /// When each was measured, s.
-    pub(crate) times: Vec<f64>,
-    /// Bound on an error that all have in common, s.
-    pub(crate) systematic: f64,
-}
-
-/// The times of the measurements from those of the readings, in their order.
-pub(crate) fn sample_times(readings: &[Reading]) -> SampleTimes {
-    let times: Vec<f64> = readings.iter().map(|reading| reading.time).collect();
+/// The times of the measurements, s, from those of the readings, in their order; and a bound on an
+/// error that all have in common, s.
+pub(crate) fn sample_times(readings: &[Reading]) -> (Vec<f64>, f64) {
+    let times: Vec<f64> = readings.iter().map(|(time, _)| *time).collect();
     let (waits, unknown) = match is_polled(readings) {
         true => waits(&times),
         false => (vec![0.0; times.len()], 0.0),
     };
     let readings = times.iter().zip(waits);
     let measured = readings.map(|(time, wait)| time - wait - SENSOR);
-    SampleTimes {
-        times: measured.collect(),
-        systematic: SENSOR.hypot(unknown),
-    }
+    (measured.collect(), SENSOR.hypot(unknown))
 }
 
 /// Whether the board reads in its own time: otherwise it reads a sample as it comes.
 fn is_polled(readings: &[Reading]) -> bool {
-    readings.first().is_some_and(|first| {
-        let kept = readings.iter().filter(|reading| {
-            let off = reading.board_us.wrapping_sub(first.board_us) % ROUND_US;
+    readings.first().is_some_and(|(_, first_us)| {
+        let kept = readings.iter().filter(|(_, board_us)| {
+            let off = board_us.wrapping_sub(*first_us) % ROUND_US;
             off.min(ROUND_US - off) <= KEPT_US
         });
         kept.count() * 10 >= readings.len() * 9
@@ -301,10 +284,7 @@ mod tests {
             if is_new {
                 count += 1;
                 samples.push(phase + 0.01 * read[0]);
-                readings.push(Reading {
-                    time,
-                    board_us: 5_000 * round,
-                });
+                readings.push((time, 5_000 * round));
             }
             round += if count % 10 == 0 && is_new {
                 // Together with its records again.
@@ -323,21 +303,21 @@ mod tests {
         for fast in [0.003, -0.003, 0.001, 0.005, -0.000_5, 0.000_1, 0.0] {
             for phase in [0.001, 0.003, 0.005, 0.007, 0.009] {
                 let (readings, samples) = read(fast, phase);
-                let found = sample_times(&readings);
-                let errors: Vec<f64> = found
-                    .times
+                let (times, systematic) = sample_times(&readings);
+                let errors: Vec<f64> = times
                     .iter()
                     .zip(&samples)
                     .map(|(found, truth)| found - (truth - SENSOR))
                     .collect();
                 let mean = errors.iter().sum::<f64>() / errors.len() as f64;
                 // Of the reading itself, in which a sample may come.
-                let most = found.systematic.hypot(0.000_3);
-                assert!(mean.abs() < most, "{fast}, {phase}: {mean} {found:?}");
+                let most = systematic.hypot(0.000_3);
+                assert!(mean.abs() < most, "{fast}, {phase}: {mean} {times:?}");
                 if fast.abs() > 0.002 {
-                    assert!(found.systematic < 0.001_2, "{fast}: {}", found.systematic);
+                    assert!(systematic < 0.001_2, "{fast}: {systematic}");
                 }
-                let waited = readings.iter().zip(&samples).map(|(r, s)| r.time - s);
+                let waited = readings.iter().zip(&samples);
+                let waited = waited.map(|((time, _), sample)| time - sample);
                 let waited = waited.sum::<f64>() / samples.len() as f64;
                 assert!(fast.abs() < 0.002 || waited > 0.003, "{fast}: {waited}");
             }
@@ -347,25 +327,18 @@ mod tests {
     #[test]
     fn samples_that_are_read_at_once_keep_their_times() {
         let readings: Vec<Reading> = (0..2_000)
-            .map(|n| Reading {
-                time: 0.01 * f64::from(n),
-                board_us: 10_030 * n as u32 / 100 * 100,
-            })
+            .map(|n| (0.01 * f64::from(n), 10_030 * n as u32 / 100 * 100))
             .collect();
-        let found = sample_times(&readings);
-        assert_eq!(found.systematic, SENSOR);
-        for (reading, time) in readings.iter().zip(&found.times) {
-            assert_eq!(*time, reading.time - SENSOR);
+        let (times, systematic) = sample_times(&readings);
+        assert_eq!(systematic, SENSOR);
+        for ((read, _), time) in readings.iter().zip(&times) {
+            assert_eq!(*time, read - SENSOR);
         }
     }
 
     #[test]
     fn few_readings_are_no_error() {
-        assert!(sample_times(&[]).times.is_empty());
-        let one = Reading {
-            time: 1.0,
-            board_us: 7,
-        };
-        assert_eq!(sample_times(&[one]).times.len(), 1);
+        assert!(sample_times(&[]).0.is_empty());
+        assert_eq!(sample_times(&[(1.0, 7)]).0.len(), 1);
     }
 }

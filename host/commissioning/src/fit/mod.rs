@@ -14,7 +14,7 @@ mod track;
 pub(crate) mod wheels;
 
 pub(crate) use body::{Body, Rolled, body, rolled, turned_about};
-pub(crate) use delay::{Reading, sample_times, stamp_delay};
+pub(crate) use delay::{sample_times, stamp_delay};
 pub(crate) use drive_train::{DriveTrain, deceleration, drive_train, roll_out};
 pub(crate) use statistics::{
     LeastSquares, block_means, gauss_newton, jackknife, least_squares, left_out_deviation, mean,

@@ -7,7 +7,7 @@
 use singletrack_control::statistics::Line;
 use singletrack_control::{interpolate, unwrap_near};
 
-use super::{Reading, sample_times};
+use super::sample_times;
 use crate::{BoardReading, Inertial, observed::Readings};
 
 /// A drive at the time of a pose.
@@ -53,15 +53,13 @@ impl Readings {
     /// The angular velocity about the vertical, rad/s, when it was measured, and a bound on an error
     /// that these times have in common, s.
     pub(crate) fn rate(&self) -> (Signal, f64) {
-        let reading = |sample: Inertial| Reading {
-            time: self.at(sample.time),
-            board_us: sample.board_us,
-        };
-        let times = sample_times(&self.inertial().map(reading).collect::<Vec<_>>());
+        let reading = |sample: Inertial| (self.at(sample.time), sample.board_us);
+        let readings: Vec<_> = self.inertial().map(reading).collect();
+        let (times, systematic) = sample_times(&readings);
         let rates = self.inertial().map(|sample| sample.angular_velocity[2]);
-        let samples = times.times.into_iter().zip(rates);
+        let samples = times.into_iter().zip(rates);
         let signal = samples.map(|(time, rate)| [time, rate]).collect();
-        (Signal(signal), times.systematic)
+        (Signal(signal), systematic)
     }
 
     /// The yaw of the rigid body by the stamp, rad, not wrapped.
@@ -209,8 +207,8 @@ impl Motion {
         steps.collect()
     }
 
-    /// The way of the rear axle since the first pose, m, at the times of the poses, when the pivot is `left` m to the left
-    /// of the car's middle.
+    /// The way of the rear axle since the first pose, m, at the times of the poses, when the pivot is
+    /// `left` m to the left of the car's middle.
     pub(crate) fn rear_way(&self, body_yaw: f64, left: f64) -> Vec<[f64; 2]> {
         let mut way = 0.0;
         let begin = self.0.first().map(|first| [first.time, 0.0]);
@@ -232,18 +230,18 @@ impl Motion {
 }
 
 /// Microseconds between two pulses, and between two records.
-const FRAME_US: u32 = 20_000;
-const RECORD_US: u32 = 10_000;
+const FRAME_US: u64 = 20_000;
+const RECORD_US: u64 = 10_000;
 
 /// Records are made at multiples of this since the board's start.
-const GRID_US: u32 = 5_000;
+const GRID_US: u64 = 5_000;
 
 /// The most by which a record is late that names the pulse which begins with it.
-const LATE_US: u32 = 1_000;
+const LATE_US: u64 = 1_000;
 
 /// After the 71 minutes in which the board's clock has counted through, records no longer come
 /// at multiples of 5 ms: by that they show how often it has.
-const MOST_TURNS: u32 = 3;
+const MOST_TURNS: u64 = 3;
 
 /// The pulses of an output.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -259,37 +257,29 @@ pub(super) type Record = (f64, u32, f64);
 impl Frames {
     /// The pulses that these records announce.
     pub(super) fn of(records: &[Record]) -> Self {
-        let shifted = |turns: u32| turns.wrapping_mul(u32::MAX % FRAME_US + 1) % FRAME_US;
         // Since the last pulse began.
-        let since = |board_us: u32, turns: u32| (board_us % FRAME_US + shifted(turns)) % FRAME_US;
-        let off = |board_us: u32, turns: u32| {
+        let since = |board_us: u32, turns: u64| ((turns << 32) + u64::from(board_us)) % FRAME_US;
+        let off = |board_us: u32, turns: u64| {
             let since_us = since(board_us, turns) % GRID_US;
-            u64::from(since_us.min(GRID_US - since_us))
+            since_us.min(GRID_US - since_us)
         };
-        let far = |turns: u32| -> u64 {
-            let records = records.iter().map(|(_, board_us, _)| *board_us);
-            records.map(|us| off(us, turns)).sum()
+        let far = |turns: &u64| -> u64 {
+            let records = records.iter();
+            records.map(|(_, board_us, _)| off(*board_us, *turns)).sum()
         };
-        let turns = (0..=MOST_TURNS)
-            .min_by_key(|turns| far(*turns))
-            .unwrap_or(0);
+        let turns = (0..=MOST_TURNS).min_by_key(far).unwrap_or(0);
         // Until the pulse begins that the record names; none if a later record names it.
-        let wait_us = |board_us: u32| {
-            let since_us = since(board_us, turns);
-            if since_us <= LATE_US {
-                return Some(-f64::from(since_us));
+        let wait_us = |board_us: u32| match since(board_us, turns) {
+            since_us @ ..=LATE_US => Some(-(since_us as f64)),
+            since_us if FRAME_US - since_us < RECORD_US - LATE_US => {
+                Some((FRAME_US - since_us) as f64)
             }
-            let wait_us = FRAME_US - since_us;
-            (wait_us < RECORD_US - LATE_US).then(|| f64::from(wait_us))
+            _ => None,
         };
-        Self(
-            records
-                .iter()
-                .filter_map(|(time, board_us, pulse)| {
-                    wait_us(*board_us).map(|wait_us| (time + 1e-6 * wait_us, *pulse))
-                })
-                .collect(),
-        )
+        let pulses = records.iter().filter_map(|(time, board_us, pulse)| {
+            wait_us(*board_us).map(|wait_us| (time + 1e-6 * wait_us, *pulse))
+        });
+        Self(pulses.collect())
     }
 
     /// The pulse that acts at a time: the last one that has begun, or the first one.
@@ -321,10 +311,10 @@ mod tests {
 
     /// Records of a pulse that grows by 1 us with every record, `turns` after the board's start,
     /// made `after_us` after multiples of 10 ms.
-    fn records(turns: u32, after_us: u64) -> Vec<Record> {
+    fn records(turns: u64, after_us: u64) -> Vec<Record> {
         (0..50_u32)
             .map(|n| {
-                let since_start_us = (u64::from(turns) << 32) / 20_000 * 20_000 + 40_000;
+                let since_start_us = (turns << 32) / 20_000 * 20_000 + 40_000;
                 let late_us = after_us + 100 * u64::from(n % 3);
                 let board_us = (since_start_us + 10_000 * u64::from(n) + late_us) as u32;
                 let time = 1e-2 * f64::from(n) + 1e-6 * late_us as f64;
