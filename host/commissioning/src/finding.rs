@@ -275,11 +275,14 @@ pub(crate) fn keys(parameters: &[Parameter]) -> Vec<(&str, toml_edit::Value)> {
     keys
 }
 
-/// Puts values in force.
+/// Puts values in force, if there are any.
 pub(crate) fn change(
     bench: &mut dyn Bench,
     values: &[(&str, toml_edit::Value)],
 ) -> Result<(), Trouble> {
+    if values.is_empty() {
+        return Ok(());
+    }
     bench.change(values).map_err(|refused| {
         let keys: Vec<_> = values.iter().map(|(key, _)| *key).collect();
         let found = format!("{} can't be changed: {refused}", keys.join(", "));

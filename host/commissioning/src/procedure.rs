@@ -51,7 +51,9 @@ impl Step {
         let finding = (self.run)(bench).or_else(|trouble| {
             // Refused where there is nothing to disarm; the daemon stops the car as well when the
             // connection ends.
-            let _ = bench.disarm();
+            if !matches!(trouble, Trouble::Found(_)) {
+                let _ = bench.disarm();
+            }
             trouble.finding()
         })?;
         Ok(Finding {

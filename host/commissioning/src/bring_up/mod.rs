@@ -146,10 +146,7 @@ pub(super) fn find_imu_noise(bench: &mut dyn Bench) -> Result<Finding, Trouble> 
     }
     let comparison = compare(&levels, &bench.configuration().estimator);
     bench.plot(&noise_plot(&levels));
-    let keys = keys(&comparison.parameters);
-    if !keys.is_empty() {
-        change(bench, &keys)?;
-    }
+    change(bench, &keys(&comparison.parameters))?;
     Ok(noise_finding(comparison, &kill))
 }
 

@@ -66,9 +66,6 @@ pub(super) fn limit_speed(bench: &mut dyn Bench, speed: f64) -> Result<(), Troub
     if limits.max_speed_m_s != top {
         values.push(("limits.max_speed_m_s", top.into()));
     }
-    if values.is_empty() {
-        return Ok(());
-    }
     change(bench, &values)
 }
 

@@ -118,12 +118,10 @@ fn reset(checks: &mut Checks<'_>) -> Result<(), Interrupted> {
 
 /// Time since the last telemetry, in s.
 fn silent_since(readings: &Readings) -> f64 {
-    let Some(now) = readings.ticks.last() else {
-        return 0.0;
-    };
     let heard = readings.boards.last().map(|board| board.receive);
     let since = heard.or(readings.ticks.first().map(|tick| tick.time));
-    since.map_or(0.0, |since| now.time.seconds_since(since).max(0.0))
+    let ends = since.zip(readings.ticks.last());
+    ends.map_or(0.0, |(since, now)| now.time.seconds_since(since).max(0.0))
 }
 
 /// Battery, supply and stop switch.
@@ -197,11 +195,8 @@ fn battery(status: &Status, checks: &mut Checks<'_>) -> Result<(), Interrupted> 
     let fix = "A0 is fed from somewhere else: wire the divider to the battery's plug";
     checks.check(noticed, found, "noticed", fix);
     let request = "Press Enter, then plug the battery in again.";
-    if checks
-        .bench
-        .ask(&Question::begin("plug-battery", request))?
-        != Answer::Skip
-    {
+    let question = Question::begin("plug-battery", request);
+    if checks.bench.ask(&question)? != Answer::Skip {
         let is_back = seen(checks, "battery", |status| !is_gone(status))?;
         let found = "battery plugged in";
         checks.check(is_back, found, "plugged in", "plug it in again");

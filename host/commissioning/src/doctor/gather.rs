@@ -192,11 +192,8 @@ impl<'a> Checks<'a> {
         if mode(&readings) != Some(BoardMode::EmergencyStopped) {
             return Ok(true);
         }
-        if self
-            .bench
-            .ask(&Question::begin("press-reset", PRESS_RESET))?
-            == Answer::Skip
-        {
+        let request = Question::begin("press-reset", PRESS_RESET);
+        if self.bench.ask(&request)? == Answer::Skip {
             return Ok(false);
         }
         // Nothing but a reset ends an emergency stop; the silence of the reset itself may have begun

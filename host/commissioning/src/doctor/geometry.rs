@@ -99,9 +99,8 @@ fn turns(checks: &mut Checks<'_>) -> Result<Vec<[f64; 2]>, Trouble> {
         PlotLine::new("rear axle", PlotKind::Fitted, axle),
     ];
     let title = "Turns about the rear axle";
-    checks
-        .bench
-        .plot(&Plot::new("turns", title, Plot::PLACES, lines));
+    let plot = Plot::new("turns", title, Plot::PLACES, lines);
+    checks.bench.plot(&plot);
     Ok(origins)
 }
 

@@ -48,9 +48,8 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     check_wheels(&readings, &mut checks);
     let lines = vec![PlotLine::new("gyro", PlotKind::Measured, readings.gyro())];
     let title = "The gyro at rest";
-    checks
-        .bench
-        .plot(&Plot::new("rest", title, Plot::YAW_RATE, lines));
+    let plot = Plot::new("rest", title, Plot::YAW_RATE, lines);
+    checks.bench.plot(&plot);
     checks.finding()
 }
 
