@@ -11,3 +11,6 @@ pub mod progress;
 pub mod viewers;
 
 mod interrupt;
+
+/// What a command does, or why not, in words for the user.
+pub type Result<T, E = Box<dyn std::error::Error>> = std::result::Result<T, E>;

@@ -10,7 +10,9 @@ use singletrack_core::feasibility::{Judgement, judge_reference};
 use singletrack_figures::{output, plot};
 use singletrack_scenario::simulate;
 
-use crate::{arguments::take_negative_numbers, demo, help::grouped, help::printable, lab, viewers};
+use crate::{
+    Result, arguments::take_negative_numbers, demo, help::grouped, help::printable, lab, viewers,
+};
 
 const AFTER: &str = "\
 Exit status:
@@ -125,7 +127,7 @@ fn missing_feature(command: &clap::Command, name: &str) -> Option<&'static str> 
     command.find_subcommand(name).is_none().then_some(feature)
 }
 
-fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
+fn run(cli: &Cli) -> Result<ExitCode> {
     match &cli.command {
         Command::Demo(args) => demo::run(args)?,
         Command::Page(args) => viewers::page(args)?,
@@ -182,7 +184,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
 }
 
 /// What `singletrackd --check` would say of the scenario's reference; the ideal plant has no limits.
-fn judged(scenario: &simulate::Scenario) -> Result<Judgement, Box<dyn std::error::Error>> {
+fn judged(scenario: &simulate::Scenario) -> Result<Judgement> {
     if scenario.plant.kind == simulate::PlantKind::Ideal {
         return Ok(Judgement::default());
     }

@@ -1,6 +1,6 @@
 //! `singletrack page|live`: what shows a drive, in processes of their own beside any daemon.
 
-use std::{error::Error, net::IpAddr, path::PathBuf};
+use std::{net::IpAddr, path::PathBuf};
 
 use clap::Args;
 use singletrack_api::{Fleet, FleetCar, log};
@@ -8,7 +8,7 @@ use singletrack_core::{Config, config::SocketSection};
 use singletrack_figures::output::print;
 use singletrack_viewers::page::{OtherCar, Page};
 
-use crate::{arguments::ConfiguredSocket, interrupt::Interrupt};
+use crate::{Result, arguments::ConfiguredSocket, interrupt::Interrupt};
 
 /// The options of both.
 #[derive(Clone, Debug, Args)]
@@ -27,10 +27,7 @@ struct ViewerArgs {
 
 impl ViewerArgs {
     /// The path of the socket, and a section of the configuration.
-    fn settings<T: Default>(
-        &self,
-        section: impl Fn(Config) -> T,
-    ) -> Result<(PathBuf, T), Box<dyn Error>> {
+    fn settings<T: Default>(&self, section: impl Fn(Config) -> T) -> Result<(PathBuf, T)> {
         let (socket, section) = match &self.config {
             Some(path) => {
                 let config = Config::read(path)?;
@@ -71,7 +68,7 @@ pub struct PageArgs {
 /// # Errors
 ///
 /// The configuration is invalid, or the page can't be served.
-pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
+pub fn page(args: &PageArgs) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let (mut socket, mut section) = args.viewer.settings(|config| config.page)?;
     let mut others = Vec::new();
@@ -124,7 +121,7 @@ pub struct LiveArgs {
 ///
 /// The configuration is invalid, or the live view can't be served.
 #[cfg(feature = "live")]
-pub fn live(args: &LiveArgs) -> Result<(), Box<dyn Error>> {
+pub fn live(args: &LiveArgs) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let (socket, mut section) = args.viewer.settings(|config| config.live)?;
     section.address = args.viewer.address.unwrap_or(section.address);

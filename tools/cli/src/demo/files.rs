@@ -1,7 +1,6 @@
 //! The files of a demo, and the figures of its board.
 
 use std::{
-    error::Error,
     fs::{File, TryLockError},
     io,
     path::{Path, PathBuf},
@@ -10,13 +9,17 @@ use std::{
 use serde::Serialize;
 use singletrack_core::config::Config;
 use singletrack_figures::{
-    output::{WriteError, make_folder},
+    output::{WriteError, make_folder, write},
     plot::{ANIMATION, FigureKind, REPORT},
 };
 use singletrack_sim::{ImageSize, Installation, SimulatedBoard};
 use tempfile::TempDir;
 
-/// The files of a demo.
+use super::DemoArgs;
+use crate::Result;
+
+/// The files of a demo; those of its one car are named `DEMO`.
+pub(super) const DEMO: &str = "demo";
 pub(super) const RECORD: &str = "demo.mcap";
 pub(super) const CONFIGURATION: &str = "demo.toml";
 pub(super) const SIMULATION: &str = "simulation.toml";
@@ -24,9 +27,15 @@ pub(super) const SUMMARY: &str = "summary.json";
 /// The most cars of a demo.
 pub(super) const MAX_CARS: usize = 20;
 
-/// The record (`mcap`) or the configuration (`toml`) of one of several cars.
-pub(super) fn file_of(config: &Config, extension: &str) -> String {
-    format!("{}.{extension}", config.motion_capture.rigid_body)
+/// The record of a car with this name.
+pub(super) fn record_of(args: &DemoArgs, name: &str) -> PathBuf {
+    args.out.join(format!("{name}.mcap"))
+}
+
+/// Writes the configuration of the daemon of a car with this name.
+pub(super) fn write_configuration(args: &DemoArgs, name: &str, config: &Config) -> Result<()> {
+    let path = args.out.join(format!("{name}.toml"));
+    Ok(write(&path, &config.to_toml()?)?)
 }
 
 /// A folder.
@@ -38,7 +47,7 @@ pub(super) const FIGURES: &str = "figures";
 /// # Errors
 ///
 /// It holds something else, or another demo writes to it.
-pub(super) fn prepare(folder: &Path) -> Result<File, Box<dyn Error>> {
+pub(super) fn prepare(folder: &Path) -> Result<File> {
     make_folder(folder)?;
     let failed = || WriteError::of(folder);
     let own = File::open(folder).map_err(failed())?;

@@ -2,8 +2,8 @@
 //! real time or in virtual time.
 
 use std::{
-    error::Error,
     f64::consts::{FRAC_PI_2, PI, TAU},
+    fs,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     thread,
@@ -12,7 +12,7 @@ use std::{
 
 use indicatif::ProgressBar;
 use serde::Serialize;
-use singletrack_core::config::{Config, ReferenceSection, Start};
+use singletrack_core::config::{ReferenceSection, Start};
 use singletrack_figures::output::write;
 use singletrack_pilot::{Filtering, Mode, Output, PilotRequest, Reason};
 use singletrack_scenario::{
@@ -20,17 +20,15 @@ use singletrack_scenario::{
     virtual_fleet::{FleetCar, VirtualFleet, fleet_floor, fleet_simulation},
     virtual_record::VirtualRecord,
 };
-use singletrack_sim::{RealTimeConfig, RealTimeSimulator, SharedFloor, StartPose};
-use singletrackd::Daemon;
+use singletrack_sim::{SharedFloor, StartPose};
 
 use super::{
-    DemoArgs, INTERRUPTED, bar,
-    files::{SUMMARY, file_of, not_made, private},
-    real_time::{arm, stop},
+    Demo, DemoArgs, INTERRUPTED,
+    drive::{arm, stop, viewers},
+    files::{SUMMARY, not_made, private, record_of, write_configuration},
     settings,
-    viewers::Viewers,
 };
-use crate::interrupt::Interrupt;
+use crate::Result;
 
 /// For a small fleet: its largest number of cars, the distance between neighbouring circles in m, and
 /// the lead of a car before the last one, as a fraction of the angle between their circles. The
@@ -75,17 +73,15 @@ impl CarSummary {
 }
 
 /// Drives, and prints how it went.
-pub(super) fn run(args: &DemoArgs, interrupt: &Interrupt) -> Result<(), Box<dyn Error>> {
+pub(super) fn run(demo: &Demo<'_>) -> Result<()> {
+    let args = demo.args;
     let cars: Vec<FleetCar> = (0..args.cars).map(|index| car(args, index)).collect();
-    let (mut summaries, nearest_m) = if args.virtual_time {
-        virtual_time(args, &cars, interrupt)?
-    } else {
-        real_time(args, &cars, interrupt)?
+    let (mut summaries, nearest_m) = match args.virtual_time {
+        true => virtual_time(demo, &cars)?,
+        false => real_time(demo, &cars)?,
     };
     for (summary, car) in summaries.iter_mut().zip(&cars) {
-        summary
-            .name
-            .clone_from(&car.config.motion_capture.rigid_body);
+        name(car).clone_into(&mut summary.name);
         let end = match summary.ended {
             Some(reason) => format!("stopped: {reason}"),
             None => "drove to the end".to_owned(),
@@ -109,7 +105,7 @@ pub(super) fn run(args: &DemoArgs, interrupt: &Interrupt) -> Result<(), Box<dyn 
     });
     write(&path, &format!("{summary:#}\n"))?;
     println!("records and summary: {}", args.out.display());
-    match interrupt.is_raised() {
+    match demo.interrupt.is_raised() {
         true => Err(INTERRUPTED.into()),
         false => Ok(()),
     }
@@ -162,28 +158,28 @@ fn show(bar: &ProgressBar, time_s: f64, summaries: &[CarSummary], nearest_m: f64
     ));
 }
 
-fn virtual_time(
-    args: &DemoArgs,
-    cars: &[FleetCar],
-    interrupt: &Interrupt,
-) -> Result<(Vec<CarSummary>, f64), Box<dyn Error>> {
+fn virtual_time(demo: &Demo<'_>, cars: &[FleetCar]) -> Result<(Vec<CarSummary>, f64)> {
+    let args = demo.args;
     for car in cars {
-        write_configuration(args, &car.config)?;
+        write_configuration(args, name(car), &car.config)?;
     }
     let mut fleet = VirtualFleet::new(cars)?;
     let drives = fleet.cars.iter_mut().zip(cars);
     let record = |(drive, car): (_, &FleetCar)| {
-        let path = args.out.join(file_of(&car.config, "mcap"));
-        VirtualRecord::start(Some(&path), drive, &car.config, car.seed)
+        VirtualRecord::start(
+            Some(&record_of(args, name(car))),
+            drive,
+            &car.config,
+            car.seed,
+        )
     };
     let mut records: Vec<_> = drives.map(record).collect::<Result<_, _>>()?;
     fleet.start()?;
     let mut summaries = vec![CarSummary::default(); cars.len()];
-    let bar = bar(args.duration);
     let start_us = fleet.now_us;
     let duration_s = args.duration.as_secs_f64();
     let mut time_s = 0.0;
-    while time_s < duration_s && !interrupt.is_raised() {
+    while time_s < duration_s && !demo.interrupt.is_raised() {
         time_s = (time_s + 0.1).min(duration_s);
         fleet.advance_to(start_us + (time_s * 1e6) as u64, &mut |index, tick| {
             if let Some(summary) = summaries.get_mut(index) {
@@ -194,9 +190,9 @@ fn virtual_time(
         for (record, drive) in records.iter_mut().zip(&mut fleet.cars) {
             record.write(drive)?;
         }
-        show(&bar, time_s, &summaries, fleet.nearest_m());
+        show(&demo.bar, time_s, &summaries, fleet.nearest_m());
     }
-    bar.finish_and_clear();
+    demo.bar.finish_and_clear();
     for drive in fleet.cars.iter().filter(|drive| drive.mode().is_underway()) {
         drive.request(PilotRequest::Disarm)?;
     }
@@ -210,11 +206,8 @@ fn virtual_time(
     Ok((summaries, fleet.nearest_m()))
 }
 
-fn real_time(
-    args: &DemoArgs,
-    cars: &[FleetCar],
-    interrupt: &Interrupt,
-) -> Result<(Vec<CarSummary>, f64), Box<dyn Error>> {
+fn real_time(demo: &Demo<'_>, cars: &[FleetCar]) -> Result<(Vec<CarSummary>, f64)> {
+    let args = demo.args;
     let private = private()?;
     let floor = Arc::new(Mutex::new(fleet_floor(cars)));
     let nearest_m = || {
@@ -223,25 +216,33 @@ fn real_time(
             .unwrap_or_else(PoisonError::into_inner)
             .nearest_m
     };
-    let start = |index| start(args, cars, index, &floor, private.path());
-    let fleet: Vec<_> = (0..cars.len())
-        .map(start)
-        .collect::<Result<_, Box<dyn Error>>>()?;
-    let mut sockets = cars
+    let mut fleet = Vec::new();
+    for (index, car) in cars.iter().enumerate() {
+        let folder = folder(private.path(), car);
+        fs::create_dir(&folder).map_err(|error| not_made(&error))?;
+        let floor = Some(SharedFloor {
+            floor: Arc::clone(&floor),
+            index,
+        });
+        let simulator = settings::simulator(fleet_simulation(cars, index), floor, &folder)?;
+        let config = car.config.clone();
+        let daemon = settings::start(args, name(car), config, car.seed, &simulator, &folder)?;
+        fleet.push((simulator, daemon));
+    }
+    let sockets = cars
         .iter()
         .map(|car| settings::socket(&folder(private.path(), car)));
-    let first = sockets.next().unwrap_or_default();
-    let _viewers = Viewers::start(args, &first, &sockets.collect::<Vec<_>>())?;
+    let _viewers = viewers(args, sockets)?;
 
-    let bar = bar(args.duration);
     let daemons: Vec<_> = fleet.iter().map(|(_, daemon)| daemon).collect();
-    arm(&daemons, READY_TIMEOUT, interrupt, |snapshot| {
-        bar.set_message(format!("waiting for all cars: {}", snapshot.mode()));
+    arm(demo, &daemons, READY_TIMEOUT, |snapshot| {
+        demo.bar
+            .set_message(format!("waiting for all cars: {}", snapshot.mode()));
     })?;
     let mut summaries = vec![CarSummary::default(); cars.len()];
     let begin = Instant::now();
     let mut last = begin;
-    while begin.elapsed() < args.duration && !interrupt.is_raised() {
+    while begin.elapsed() < args.duration && !demo.interrupt.is_raised() {
         thread::sleep(POLL);
         let elapsed_s = last.elapsed().as_secs_f64();
         last = Instant::now();
@@ -250,9 +251,14 @@ fn real_time(
                 summary.note(output, elapsed_s);
             }
         }
-        show(&bar, begin.elapsed().as_secs_f64(), &summaries, nearest_m());
+        show(
+            &demo.bar,
+            begin.elapsed().as_secs_f64(),
+            &summaries,
+            nearest_m(),
+        );
     }
-    bar.finish_and_clear();
+    demo.bar.finish_and_clear();
     stop(&daemons)?;
     for (summary, (simulator, daemon)) in summaries.iter_mut().zip(fleet) {
         let driven = daemon.stop()?;
@@ -262,39 +268,12 @@ fn real_time(
     Ok((summaries, nearest_m()))
 }
 
-/// A simulator and a daemon.
-type Pair = (RealTimeSimulator, Daemon);
-
-fn start(
-    args: &DemoArgs,
-    cars: &[FleetCar],
-    index: usize,
-    floor: &Arc<Mutex<singletrack_sim::Floor>>,
-    private: &Path,
-) -> Result<Pair, Box<dyn Error>> {
-    let mut config = cars[index].config.clone();
-    let folder = folder(private, &cars[index]);
-    std::fs::create_dir(&folder).map_err(|error| not_made(&error))?;
-    let simulator = RealTimeSimulator::start(RealTimeConfig {
-        floor: Some(SharedFloor {
-            floor: Arc::clone(floor),
-            index,
-        }),
-        ..settings::real_time(fleet_simulation(cars, index), &folder)
-    })?;
-    settings::connect(&simulator, &mut config, &folder);
-    write_configuration(args, &config)?;
-    let record = args.out.join(file_of(&config, "mcap"));
-    let options = settings::options(record, cars[index].seed);
-    Ok((simulator, Daemon::start(config, options)?))
+/// The name of a car, and of its files.
+fn name(car: &FleetCar) -> &str {
+    &car.config.motion_capture.rigid_body
 }
 
 /// The private folder of a car.
 fn folder(private: &Path, car: &FleetCar) -> PathBuf {
-    private.join(&car.config.motion_capture.rigid_body)
-}
-
-fn write_configuration(args: &DemoArgs, config: &Config) -> Result<(), Box<dyn Error>> {
-    let path = args.out.join(file_of(config, "toml"));
-    Ok(write(&path, &config.to_toml()?)?)
+    private.join(name(car))
 }

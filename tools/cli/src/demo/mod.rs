@@ -1,15 +1,13 @@
 //! `singletrack demo`: the paper's circle, driven by the daemon on the simulated car, in real time
 //! or, where the computer can't keep it, in virtual time.
 
+mod drive;
 mod files;
 mod fleet;
-mod real_time;
 mod report;
 mod settings;
-mod viewers;
-mod virtual_time;
 
-use std::{error::Error, path::PathBuf, time::Duration};
+use std::{path::PathBuf, time::Duration};
 
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
@@ -18,7 +16,7 @@ use singletrack_pilot::{Mode, Reason};
 use singletrack_sim::{BoardKind, LossPattern, TimedTruth, Truth};
 use singletrackd::Summary;
 
-use crate::{arguments::duration_within, interrupt::Interrupt, progress::progress_bar};
+use crate::{Result, arguments::duration_within, interrupt::Interrupt, progress::progress_bar};
 use files::{BoardFigures, MAX_CARS, prepare};
 
 /// Options of `singletrack demo`.
@@ -101,36 +99,42 @@ fn parse_time(text: &str) -> Result<Duration, String> {
 ///
 /// Why the car did not drive to the end; the record and the figures so far are
 /// written all the same.
-pub fn run(args: &DemoArgs) -> Result<(), Box<dyn Error>> {
+pub fn run(args: &DemoArgs) -> Result<()> {
     if args.live.is_some() && !cfg!(feature = "live") {
         let why = "--live needs the feature `live`, without which this program was built: `cargo \
                    demo --live` builds it with it";
         return Err(why.into());
     }
-    let interrupt = Interrupt::listen()?;
+    let demo = Demo {
+        args,
+        interrupt: Interrupt::listen()?,
+        bar: progress_bar(
+            u64::try_from(args.duration.as_millis()).unwrap_or(u64::MAX),
+            "{bar:10} {percent:>3} %  {msg}",
+        ),
+    };
     let folder = prepare(&args.out)?;
     if args.cars > 1 {
-        return fleet::run(args, &interrupt);
+        return fleet::run(&demo);
     }
-    let mut progress = Progress::new(args.duration, settings::expected(args.feed_forward).error_m);
     let driven = if args.virtual_time {
-        virtual_time::run(args, &mut progress, &interrupt)?
+        drive::virtual_time(&demo)?
     } else {
-        let driven = real_time::run(args, &mut progress, &interrupt);
+        let driven = drive::real_time(&demo);
         match untimely(args, &driven) {
-            Some(reason) if !interrupt.is_raised() => {
+            Some(reason) if !demo.interrupt.is_raised() => {
                 let note = format!(
                     "singletrack: this computer is too busy for real time ({reason}): the demo goes \
                      on in virtual time, which --virtual asks for"
                 );
-                progress.bar.suspend(|| eprintln!("{note}"));
+                demo.bar.suspend(|| eprintln!("{note}"));
                 files::clear(&args.out)?;
-                virtual_time::run(args, &mut progress, &interrupt)?
+                drive::virtual_time(&demo)?
             }
             _ => driven?,
         }
     };
-    progress.bar.finish_and_clear();
+    demo.bar.finish_and_clear();
     drop(folder);
 
     let plotted = report::plot(args, &driven);
@@ -141,7 +145,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Box<dyn Error>> {
     }
     match driven.ended {
         None => Ok(plotted?),
-        Some(_) if interrupt.is_raised() => Err(INTERRUPTED.into()),
+        Some(_) if demo.interrupt.is_raised() => Err(INTERRUPTED.into()),
         Some(ended) => Err(format!(
             "the drive ended after {:.1} s of {:.1} s: mode {}{}; see {}",
             ended.after_s,
@@ -156,7 +160,7 @@ pub fn run(args: &DemoArgs) -> Result<(), Box<dyn Error>> {
 
 /// Why a drive ended or did not begin, if that is what happens on a computer that holds up programs
 /// and lines for longer than a command lives. In a drive without lost markers nothing else is wrong.
-fn untimely(args: &DemoArgs, driven: &Result<Drive, Box<dyn Error>>) -> Option<Reason> {
+fn untimely(args: &DemoArgs, driven: &Result<Drive>) -> Option<Reason> {
     let reason = match driven {
         Ok(drive) => drive.ended.as_ref()?.reason?,
         Err(error) => error.downcast_ref::<NotStarted>()?.reason?,
@@ -178,26 +182,15 @@ fn untimely(args: &DemoArgs, driven: &Result<Drive, Box<dyn Error>>) -> Option<R
     (by_line || (by_cameras && args.loss.is_none())).then_some(reason)
 }
 
-/// The bar of a drive of this duration, which is moved by milliseconds.
-fn bar(duration: Duration) -> ProgressBar {
-    let length = u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
-    progress_bar(length, "{bar:10} {percent:>3} %  {msg}")
-}
-
-struct Progress {
+/// A demo under way.
+struct Demo<'a> {
+    args: &'a DemoArgs,
+    interrupt: Interrupt,
+    /// It is moved by milliseconds.
     bar: ProgressBar,
-    expected_m: f64,
 }
 
-impl Progress {
-    /// For a drive of this duration, whose error is expected to settle at a value.
-    fn new(duration: Duration, expected_m: f64) -> Self {
-        Self {
-            bar: bar(duration),
-            expected_m,
-        }
-    }
-
+impl Demo<'_> {
     fn waiting(&self, mode: Mode, reason: Option<Reason>) {
         self.bar.set_message(match reason {
             Some(reason) => format!("{mode}: waiting, {reason}"),
@@ -205,15 +198,17 @@ impl Progress {
         });
     }
 
-    fn driving(&mut self, time: f64, truth: &Truth, error_m: f64, held: bool) {
+    /// Shows the true car, and its P.
+    fn driving(&self, time: f64, truth: &Truth, point: [f64; 2], held: bool) {
+        let expected_m = settings::expected(self.args.feed_forward).error_m;
         self.bar.set_position((time * 1000.0) as u64);
         self.bar.set_message(format!(
             // 80 columns wide, with the bar.
             "{time:4.1} s  car at ({:5.2}, {:5.2}) m, P {:5.1} mm off (theory: {:.0}){}",
             truth.x,
             truth.y,
-            error_m * 1000.0,
-            self.expected_m * 1000.0,
+            settings::tracking_error(point, time) * 1000.0,
+            expected_m * 1000.0,
             if held { "  (markers lost)" } else { "" }
         ));
     }

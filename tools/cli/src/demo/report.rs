@@ -1,7 +1,5 @@
 //! The results of the demo: a summary, figures, and a few printed lines.
 
-use std::error::Error;
-
 use serde::Serialize;
 use singletrack_figures::{
     figure::Figure,
@@ -21,6 +19,7 @@ use super::{
     files::{BoardFigures, CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
     settings,
 };
+use crate::Result;
 
 /// `summary.json`.
 #[derive(Serialize)]
@@ -50,7 +49,7 @@ struct DemoSummary<'a> {
 }
 
 /// Writes the summary, and prints it with the path of the report if there is one.
-pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(), Box<dyn Error>> {
+pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<()> {
     let samples = samples(drive);
     let tracking = last_turn(&samples, [0.0, 0.0], settings::ANGULAR_VELOCITY);
     let ended = drive.ended.as_ref();

@@ -1,23 +1,24 @@
 //! The demo's world and the daemon's configuration.
 
 use std::{
-    error::Error,
     net::Ipv4Addr,
     path::{Path, PathBuf},
 };
 
 use serde::Serialize;
-use singletrack_control::VehicleParameters;
-use singletrack_core::config::{
-    Config, LawKind, LawSection, OuterLoopSection, ReferenceSection, Start,
-};
+use singletrack_core::config::{Config, OuterLoopSection, ReferenceSection, Start};
 use singletrack_scenario::simulated::{self, daemon_config};
 use singletrack_sim::{
-    CarTruth, RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
+    CarTruth, RealTimeConfig, RealTimeSimulator, SharedFloor, SimulationConfig, StartPose, Truth,
+    UdpConfig,
 };
-use singletrackd::StartOptions;
+use singletrackd::{Daemon, StartOptions};
 
-use super::{Car, DemoArgs};
+use super::{
+    Car, DemoArgs,
+    files::{record_of, write_configuration},
+};
+use crate::Result;
 
 /// The paper's circle: radius in m, angular velocity in rad/s.
 pub(super) const RADIUS: f64 = 1.0;
@@ -46,24 +47,18 @@ impl Car {
         }
     }
 
-    fn config(self) -> Result<Option<Config>, Box<dyn Error>> {
+    fn config(self) -> Result<Option<Config>> {
         let config = self.files().map(|[belief, _]| Config::from_toml(belief));
         Ok(config.transpose()?)
     }
 
-    /// The car that is believed.
-    pub(super) fn vehicle(self) -> Result<VehicleParameters, Box<dyn Error>> {
-        let config = self.config()?;
-        Ok(config.map_or_else(VehicleParameters::paper, |config| config.vehicle))
-    }
-
-    fn truth(self) -> Result<CarTruth, Box<dyn Error>> {
+    fn truth(self) -> Result<CarTruth> {
         let truth = self.files().map(|[_, truth]| toml::from_str(truth));
         Ok(truth.transpose()?.unwrap_or_default())
     }
 }
 
-pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig, Box<dyn Error>> {
+pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig> {
     let mut config = SimulationConfig {
         seed: args.seed,
         ..SimulationConfig::default()
@@ -81,9 +76,15 @@ pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig, Box<dyn Er
     Ok(config)
 }
 
-pub(super) fn real_time(simulation: SimulationConfig, private: &Path) -> RealTimeConfig {
-    RealTimeConfig {
+/// The simulator of a car in real time, whose serial port is in a private folder.
+pub(super) fn simulator(
+    simulation: SimulationConfig,
+    floor: Option<SharedFloor>,
+    private: &Path,
+) -> Result<RealTimeSimulator> {
+    Ok(RealTimeSimulator::start(RealTimeConfig {
         simulation,
+        floor,
         pty_link: Some(private.join("board")),
         udp: UdpConfig {
             interface: Ipv4Addr::LOCALHOST,
@@ -92,25 +93,31 @@ pub(super) fn real_time(simulation: SimulationConfig, private: &Path) -> RealTim
             data_port: 0,
         },
         ..RealTimeConfig::default()
-    }
+    })?)
 }
 
-/// The options of a daemon that makes this record.
-pub(super) fn options(record: PathBuf, seed: u64) -> StartOptions {
-    StartOptions {
-        record: Some(record),
-        seed: Some(seed),
-        ..StartOptions::default()
-    }
-}
-
-/// Gives a daemon the addresses of the simulator, and a private folder.
-pub(super) fn connect(simulator: &RealTimeSimulator, config: &mut Config, private: &Path) {
+/// Starts the daemon of a simulated car, which keeps its sockets in a private folder; record and
+/// configuration have the name of the car.
+pub(super) fn start(
+    args: &DemoArgs,
+    name: &str,
+    mut config: Config,
+    seed: u64,
+    simulator: &RealTimeSimulator,
+    private: &Path,
+) -> Result<Daemon> {
     config.serial.port = simulator.pty_path.to_owned();
     config.motion_capture.command_port = Some(simulator.command_address.port());
     config.motion_capture.data_port = simulator.data_address.port();
     config.state.directory = private.join("state");
     config.socket.path = socket(private);
+    write_configuration(args, name, &config)?;
+    let options = StartOptions {
+        record: Some(record_of(args, name)),
+        seed: Some(seed),
+        ..StartOptions::default()
+    };
+    Ok(Daemon::start(config, options)?)
 }
 
 /// The control socket of the daemon with this private folder.
@@ -118,27 +125,24 @@ pub(super) fn socket(private: &Path) -> PathBuf {
     private.join("control.sock")
 }
 
-pub(super) fn daemon(args: &DemoArgs) -> Result<Config, Box<dyn Error>> {
-    let vehicle = args.car.vehicle()?;
-    let mut config = daemon_config(simulated::Drive {
-        vehicle,
-        law: LawSection {
-            kind: LawKind::FrontPoint,
-            point_distance_m: POINT_DISTANCE,
-            front_axle_distance_m: vehicle.front_axle_distance_m,
-        },
-        outer_loop: OuterLoopSection::Proportional {
-            gain_per_s: [GAIN, GAIN],
-            feed_forward: args.feed_forward,
-        },
-        reference: ReferenceSection::Circle {
-            radius_m: RADIUS,
-            angular_velocity_rad_s: ANGULAR_VELOCITY,
-            centre_m: [0.0, 0.0],
-            start: Start::Beginning,
-        },
+pub(super) fn daemon(args: &DemoArgs) -> Result<Config> {
+    let car = args.car.config()?;
+    let vehicle = car.as_ref().map(|car| car.vehicle);
+    let mut drive = simulated::Drive::following(ReferenceSection::Circle {
+        radius_m: RADIUS,
+        angular_velocity_rad_s: ANGULAR_VELOCITY,
+        centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     });
-    if let Some(car) = args.car.config()? {
+    drive.vehicle = vehicle.unwrap_or(drive.vehicle);
+    drive.law.point_distance_m = POINT_DISTANCE;
+    drive.law.front_axle_distance_m = drive.vehicle.front_axle_distance_m;
+    drive.outer_loop = OuterLoopSection::Proportional {
+        gain_per_s: [GAIN, GAIN],
+        feed_forward: args.feed_forward,
+    };
+    let mut config = daemon_config(drive);
+    if let Some(car) = car {
         config.estimator = car.estimator;
         config.actuators = car.actuators;
         // The demo's servo reaches no farther.

@@ -1,7 +1,6 @@
 //! `singletrack accept`: writes what drives say of the calibration into the configuration.
 
 use std::{
-    error::Error,
     io::{self, IsTerminal as _},
     path::{Path, PathBuf},
 };
@@ -21,7 +20,10 @@ use singletrack_pilot::DriveCommand;
 use singletrack_record::{Entry, Reader, Topic};
 use toml_edit::Value;
 
-use crate::operator::control::{self, ControlArgs};
+use crate::{
+    Result,
+    operator::control::{self, ControlArgs},
+};
 
 /// Options of `singletrack accept`.
 #[derive(Clone, Debug, Args)]
@@ -59,7 +61,7 @@ const NOT_AGREED: &str = "nothing was written: agree with y, or give --yes";
 /// # Errors
 ///
 /// Nothing is known, the file is not the one that was driven with, or the new values do not fit.
-pub fn run(args: &AcceptArgs) -> Result<(), Box<dyn Error>> {
+pub fn run(args: &AcceptArgs) -> Result<()> {
     if let (true, Some(record), Some(config)) = (args.check, &args.record, &args.config) {
         return control::print(&check(record, &Config::read(config)?)?);
     }
@@ -95,7 +97,7 @@ pub fn run(args: &AcceptArgs) -> Result<(), Box<dyn Error>> {
 }
 
 /// What the daemon knows, and the file that it reads.
-fn of_daemon(control: &ControlArgs) -> Result<(Calibration, PathBuf), Box<dyn Error>> {
+fn of_daemon(control: &ControlArgs) -> Result<(Calibration, PathBuf)> {
     let status = ask(&Request::Status {}, &control.socket)?.status;
     let status = status.ok_or(UNKNOWN)?;
     let known = status.calibration.ok_or(UNKNOWN)?;
@@ -104,7 +106,7 @@ fn of_daemon(control: &ControlArgs) -> Result<(Calibration, PathBuf), Box<dyn Er
 }
 
 /// What the drives of a record say of their last configuration.
-fn of_record(path: &Path) -> Result<Calibration, Box<dyn Error>> {
+fn of_record(path: &Path) -> Result<Calibration> {
     let mut reader = Reader::open(path)?.only(&[Topic::Configuration, Topic::Tick]);
     let mut config = Config::from_toml(&reader.meta.configuration)?;
     let mut calibration = OnlineCalibration::of(&config);
@@ -124,7 +126,7 @@ fn of_record(path: &Path) -> Result<Calibration, Box<dyn Error>> {
 }
 
 /// A line a parameter: what the ticks of all drives of a record say, and each half of them.
-fn check(path: &Path, config: &Config) -> Result<String, Box<dyn Error>> {
+fn check(path: &Path, config: &Config) -> Result<String> {
     let mut ticks = Vec::new();
     for entry in Reader::open(path)?.only(&[Topic::Tick]) {
         if let Entry::Tick(mut tick) = entry?
@@ -186,7 +188,7 @@ fn said(estimate: &CalibrationEstimate) -> String {
 }
 
 /// The change of the file, if it passes what `singletrackd --check` judges.
-fn change(path: &Path, known: &Calibration) -> Result<Edit, Box<dyn Error>> {
+fn change(path: &Path, known: &Calibration) -> Result<Edit> {
     let config = corrected(&Config::read(path)?, &known.corrections)?;
     let judgement = judge(&config, None)?;
     if !judgement.is_possible() {

@@ -4,7 +4,6 @@
 //! the car stops when it ends, however it ends.
 
 use std::{
-    error::Error,
     io::{self, Write as _},
     path::{Path, PathBuf},
     process::ExitCode,
@@ -19,7 +18,7 @@ use singletrack_api::{
 use singletrack_core::reasons::Why;
 
 use crate::operator::control::{ControlArgs, print};
-use crate::{arguments::duration_within, interrupt::Interrupt, progress::progress_bar};
+use crate::{Result, arguments::duration_within, interrupt::Interrupt, progress::progress_bar};
 
 /// Options of `singletrack arm`.
 #[derive(Clone, Debug, Args)]
@@ -77,7 +76,7 @@ pub(crate) fn ended_as_wanted(is_so: bool) -> ExitCode {
 /// # Errors
 ///
 /// When the car can't be armed, or the connection is lost; the reason is the daemon's.
-pub fn run(args: &ArmArgs) -> Result<ExitCode, Box<dyn Error>> {
+pub fn run(args: &ArmArgs) -> Result<ExitCode> {
     if args.unattended {
         let answer = ask(&args.request(Attendance::Unattended), &args.control.socket)?;
         warn(&answer.warnings);
@@ -118,7 +117,7 @@ impl Drive {
         args: &ControlArgs,
         what: &'static str,
         interval: Duration,
-    ) -> Result<Self, Box<dyn Error>> {
+    ) -> Result<Self> {
         Ok(Self {
             held: HeldDrive::new(Connection::open(&args.socket, PATIENCE)?, interval),
             progress: Progress::new(what),
@@ -133,7 +132,7 @@ impl Drive {
         interrupt: &Interrupt,
         renewal: &Request,
         time: Option<Duration>,
-    ) -> Result<ExitCode, Box<dyn Error>> {
+    ) -> Result<ExitCode> {
         self.attend_with(interrupt, time, || {
             Ok(Some((renewal.clone(), CTRL_C.to_owned())))
         })
@@ -144,8 +143,8 @@ impl Drive {
         &mut self,
         interrupt: &Interrupt,
         time: Option<Duration>,
-        mut renewal: impl FnMut() -> Result<Option<(Request, String)>, Box<dyn Error>>,
-    ) -> Result<ExitCode, Box<dyn Error>> {
+        mut renewal: impl FnMut() -> Result<Option<(Request, String)>>,
+    ) -> Result<ExitCode> {
         let begun = Instant::now();
         let mut armed: Option<Instant> = None;
         let mut is_disarmed = false;
@@ -241,12 +240,7 @@ impl Progress {
     }
 
     /// Prints how the drive ended, and chooses the exit status.
-    fn end(
-        &self,
-        ended: &Ended,
-        begun: Instant,
-        socket: &Path,
-    ) -> Result<ExitCode, Box<dyn Error>> {
+    fn end(&self, ended: &Ended, begun: Instant, socket: &Path) -> Result<ExitCode> {
         self.bar.finish_and_clear();
         print(&format!(
             "{} has ended after {:.1} s: {}",

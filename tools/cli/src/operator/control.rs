@@ -1,11 +1,11 @@
 //! `singletrack disarm|stop|tune|set-reference`: requests to the running daemon.
 
 use std::{
-    error::Error,
     fs,
     path::{Path, PathBuf},
 };
 
+use crate::Result;
 use clap::Args;
 use serde::Deserialize;
 use serde_json::Value;
@@ -33,7 +33,7 @@ pub struct DisarmArgs {
 /// # Errors
 ///
 /// When the daemon can't be asked, or refuses; the reason is the daemon's.
-pub fn disarm(args: &DisarmArgs) -> Result<(), Box<dyn Error>> {
+pub fn disarm(args: &DisarmArgs) -> Result<()> {
     let request = Request::Disarm {
         at_once: false,
         carried: args.carried,
@@ -54,7 +54,7 @@ pub fn disarm(args: &DisarmArgs) -> Result<(), Box<dyn Error>> {
 /// # Errors
 ///
 /// Those of [`disarm`].
-pub fn stop(args: &ControlArgs) -> Result<(), Box<dyn Error>> {
+pub fn stop(args: &ControlArgs) -> Result<()> {
     ask(&Request::Stop {}, &args.socket)?;
     print(EMERGENCY_STOPPED)
 }
@@ -63,7 +63,7 @@ pub fn stop(args: &ControlArgs) -> Result<(), Box<dyn Error>> {
 pub(crate) const EMERGENCY_STOPPED: &str = "stopped: neutral until the board is reset";
 
 /// Prints a result. A closed pipe is no error.
-pub(crate) fn print(text: &str) -> Result<(), Box<dyn Error>> {
+pub(crate) fn print(text: &str) -> Result<()> {
     let printed = output::print(&format!("{text}\n"));
     printed.map_err(|error| format!("can't write to standard output: {error}").into())
 }
@@ -101,7 +101,7 @@ fn gains(text: &str) -> Result<[f64; 2], String> {
 /// # Errors
 ///
 /// The daemon refuses the values, with their bounds, or can't be asked.
-pub fn tune(args: &TuneArgs) -> Result<(), Box<dyn Error>> {
+pub fn tune(args: &TuneArgs) -> Result<()> {
     let request = Request::Tune(Tune {
         gain_per_s: args.gain.map(Gain::Each),
         point_distance_m: args.point_distance,
@@ -153,7 +153,7 @@ struct File {
 /// # Errors
 ///
 /// The file is not a reference, the daemon refuses it, or the car can't drive it from where it stands.
-pub fn set_reference(args: &SetReferenceArgs) -> Result<(), Box<dyn Error>> {
+pub fn set_reference(args: &SetReferenceArgs) -> Result<()> {
     let reference = read_reference(&args.file)?;
     let request = Request::SetReference { reference };
     let answer = ask(&request, &args.control.socket)?;
@@ -179,7 +179,7 @@ const LONGEST: usize = 16_000;
 
 /// The reference in a file, with its points, or with the absolute path of their file if they are too
 /// many: the daemon runs in another folder.
-pub(crate) fn read_reference(path: &Path) -> Result<Value, Box<dyn Error>> {
+pub(crate) fn read_reference(path: &Path) -> Result<Value> {
     let name = path.display();
     let read = |error| format!("can't read {name}: {error}");
     let text = fs::read_to_string(path).map_err(read)?;

@@ -1,7 +1,6 @@
 //! `singletrack fleet`: one command for several cars, each with a daemon of its own.
 
 use std::{
-    error::Error,
     io::{self, IsTerminal as _, Write as _},
     net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket},
     path::PathBuf,
@@ -16,6 +15,7 @@ use singletrack_api::{ClockOffset, Fleet, FleetArm, FleetDrive, NotObeyed, Reque
 use singletrackd::monotonic_ns;
 
 use crate::{
+    Result,
     interrupt::Interrupt,
     operator::{
         arm::{ended_as_wanted, is_wanted, parse_time, warn},
@@ -73,7 +73,7 @@ enum FleetCommand {
 /// # Errors
 ///
 /// There is no fleet, or a car did not obey; all others were asked all the same.
-pub fn run(args: &FleetArgs) -> Result<ExitCode, Box<dyn Error>> {
+pub fn run(args: &FleetArgs) -> Result<ExitCode> {
     let fleet = || Fleet::read(&args.fleet);
     match &args.command {
         FleetCommand::Status { watch: false } => {
@@ -134,7 +134,7 @@ fn line(status: &Status, clock: &ClockOffset) -> String {
     .to_owned()
 }
 
-fn watch(fleet: &Fleet) -> Result<(), Box<dyn Error>> {
+fn watch(fleet: &Fleet) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let is_terminal = io::stdout().is_terminal();
     let mut drawn = 0;
@@ -170,7 +170,7 @@ struct FleetArmArgs {
 }
 
 /// Arms all cars, if all are ready, and holds their drives until all have ended.
-fn arm(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, Box<dyn Error>> {
+fn arm(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode> {
     let interrupt = Interrupt::listen()?;
     let options = FleetArm {
         start_in: args.start_in,
@@ -230,7 +230,7 @@ impl Clients {
 /// Passes what the daemons ask on to the server, and every answer and frame on to all of them,
 /// until it is killed. A daemon takes only the answers to its own questions, among them the
 /// server's clock: so what the way through this process takes is in the age of a pose.
-fn cameras(args: &FleetCamerasArgs) -> Result<ExitCode, Box<dyn Error>> {
+fn cameras(args: &FleetCamerasArgs) -> Result<ExitCode> {
     let server = SocketAddrV4::new(args.server, args.port);
     let is_itself = args.server.is_loopback() || args.server == *args.listen.ip();
     if is_itself && args.port == args.listen.port() {

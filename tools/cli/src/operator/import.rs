@@ -1,11 +1,11 @@
 //! `singletrack import`: makes a record of the log of another program.
 
-use std::{error::Error, path::PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use singletrack_logs::import::import;
 
-use crate::{operator::control::print, progress::progress_bar};
+use crate::{Result, operator::control::print, progress::progress_bar};
 
 /// Options of `singletrack import`.
 #[derive(Args)]
@@ -28,7 +28,7 @@ pub struct ImportArgs {
 /// # Errors
 ///
 /// When map or log can't be read or the record can't be written. Then no record is left.
-pub fn run(args: &ImportArgs) -> Result<(), Box<dyn Error>> {
+pub fn run(args: &ImportArgs) -> Result<()> {
     let bar = progress_bar(0, "{bar:30} {percent:>3} %  {pos} ticks");
     let result = import(&args.log, &args.map, &args.out, |done, of| {
         bar.set_length(of);

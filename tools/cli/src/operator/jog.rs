@@ -5,7 +5,7 @@
 //! the motor: it runs from the second event of a key on, and stops when none comes for 0.15 s. A
 //! tap does not turn it. The servo keeps its position.
 
-use std::{error::Error, process::ExitCode, time::Duration};
+use std::{process::ExitCode, time::Duration};
 
 use clap::Args;
 use singletrack_api::{Arm, Attendance, RENEWAL, Request};
@@ -14,6 +14,7 @@ use singletrack_protocol::JOG_LIMIT_US;
 use singletrackd::monotonic_ns;
 
 use crate::{
+    Result,
     interrupt::Interrupt,
     operator::{
         arm::{Drive, parse_time},
@@ -52,7 +53,7 @@ const KEYS: Duration = Duration::from_millis(40);
 /// # Errors
 ///
 /// When the board can't be armed, or the connection is lost; the reason is the daemon's.
-pub fn run(args: &JogArgs) -> Result<ExitCode, Box<dyn Error>> {
+pub fn run(args: &JogArgs) -> Result<ExitCode> {
     let interrupt = Interrupt::listen()?;
     // Before the board is armed: without a terminal it is not.
     let keyboard = args.keys.then(open_keyboard).transpose()?;
@@ -84,7 +85,7 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, Box<dyn Error>> {
     })
 }
 
-fn open_keyboard() -> Result<RawTerminal, Box<dyn Error>> {
+fn open_keyboard() -> Result<RawTerminal> {
     RawTerminal::open()?.ok_or_else(|| {
         "--keys needs a terminal: the repetition of a held key is the dead-man switch".into()
     })

@@ -17,8 +17,9 @@ pub mod setpoint;
 pub mod status;
 pub(crate) mod terminal;
 
-use std::{error::Error, process::ExitCode};
+use std::process::ExitCode;
 
+use crate::Result;
 use clap::Subcommand;
 
 /// One of these commands.
@@ -82,7 +83,7 @@ pub enum OperatorCommand {
 /// # Errors
 ///
 /// In words for the user.
-pub fn run(command: &OperatorCommand) -> Result<ExitCode, Box<dyn Error>> {
+pub fn run(command: &OperatorCommand) -> Result<ExitCode> {
     use OperatorCommand as Of;
     match command {
         Of::Cameras(args) => return cameras::run(args),

@@ -1,13 +1,10 @@
 //! `singletrack recover`: repairs an unfinished or damaged record.
 
-use std::{
-    error::Error,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use crate::{operator::control::print, progress::progress_bar};
+use crate::{Result, operator::control::print, progress::progress_bar};
 
 /// Options of `singletrack recover`.
 #[derive(Args)]
@@ -26,7 +23,7 @@ pub struct RecoverArgs {
 ///
 /// When the record can't be read, holds nothing, or the new one can't be
 /// written.
-pub fn run(args: &RecoverArgs) -> Result<(), Box<dyn Error>> {
+pub fn run(args: &RecoverArgs) -> Result<()> {
     let output = match &args.out {
         Some(output) => output.clone(),
         None => default_output(&args.record),

@@ -3,7 +3,6 @@
 mod survey;
 
 use std::{
-    error::Error,
     fmt::Write as _,
     net::{Ipv4Addr, SocketAddr},
     path::PathBuf,
@@ -22,7 +21,7 @@ use singletrack_figures::output;
 use singletrack_mocap::{Input, Phase, SessionEvent, Source};
 use singletrackd::{MocapSockets, monotonic_ns};
 
-use crate::{arguments::parse_duration, help::printable, progress::progress_bar};
+use crate::{Result, arguments::parse_duration, help::printable, progress::progress_bar};
 use survey::{BodyReport, Survey, Times};
 
 /// Options of `singletrack cameras`.
@@ -137,7 +136,7 @@ struct Report {
 /// # Errors
 ///
 /// The configuration or a socket can't be used.
-pub fn run(args: &CamerasArgs) -> Result<ExitCode, Box<dyn Error>> {
+pub fn run(args: &CamerasArgs) -> Result<ExitCode> {
     let mut watched = sections(args)?
         .into_iter()
         .map(Watched::new)
@@ -177,7 +176,7 @@ pub fn run(args: &CamerasArgs) -> Result<ExitCode, Box<dyn Error>> {
     Ok(ExitCode::from(u8::from(!is_good)))
 }
 
-fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, Box<dyn Error>> {
+fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>> {
     if let Some(path) = &args.config {
         return Ok(vec![Config::read(path)?.motion_capture]);
     }
@@ -218,7 +217,7 @@ fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, Box<dyn Err
 }
 
 impl Watched {
-    fn new(section: MotionCaptureSection) -> Result<Self, Box<dyn Error>> {
+    fn new(section: MotionCaptureSection) -> Result<Self> {
         section.validate()?;
         // All bodies: without a name that is followed.
         let source = Source::new(section.session()?.session, None)?;

@@ -7,7 +7,6 @@ mod device;
 pub mod pad;
 
 use std::{
-    error::Error,
     os::fd::AsFd as _,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -30,7 +29,7 @@ use crate::operator::{
     control::{ControlArgs, EMERGENCY_STOPPED, print, read_reference},
     terminal::wait_to_read,
 };
-use crate::{arguments::duration_within, interrupt::Interrupt};
+use crate::{Result, arguments::duration_within, interrupt::Interrupt};
 use device::Source;
 use pad::{Driver, Pad, PadEvent, PadNote, PadRequest};
 
@@ -102,7 +101,7 @@ const HALT: Request = Request::Disarm {
 /// # Errors
 ///
 /// When pad or daemon can't be reached, or the pad is lost; the car is stopped.
-pub fn run(args: &DriveArgs) -> Result<ExitCode, Box<dyn Error>> {
+pub fn run(args: &DriveArgs) -> Result<ExitCode> {
     if !(args.speed > 0.0 && args.speed <= 5.0) {
         return Err(format!("--speed is {}: give above 0, to 5", args.speed).into());
     }
@@ -189,11 +188,7 @@ struct DriveSession<'a> {
 }
 
 impl DriveSession<'_> {
-    fn attend(
-        &mut self,
-        mut source: Source,
-        interrupt: &Interrupt,
-    ) -> Result<ExitCode, Box<dyn Error>> {
+    fn attend(&mut self, mut source: Source, interrupt: &Interrupt) -> Result<ExitCode> {
         let mut events = Vec::new();
         let mut is_leaving = false;
         let mut was_driving = false;
@@ -251,7 +246,7 @@ impl DriveSession<'_> {
         }
     }
 
-    fn act(&mut self, request: PadRequest) -> Result<(), Box<dyn Error>> {
+    fn act(&mut self, request: PadRequest) -> Result<()> {
         match request {
             PadRequest::Begin(driver) => return self.begin(driver),
             PadRequest::Hold => {
@@ -284,7 +279,7 @@ impl DriveSession<'_> {
         Ok(())
     }
 
-    fn begin(&mut self, driver: Driver) -> Result<(), Box<dyn Error>> {
+    fn begin(&mut self, driver: Driver) -> Result<()> {
         if matches!(self.stage, Stage::Ending(since) if since.elapsed() > END) {
             // Nothing was said of its end.
             self.stage = Stage::Off;
@@ -303,7 +298,7 @@ impl DriveSession<'_> {
     }
 
     /// Asks for the reference of a driver.
-    fn change(&mut self, driver: Driver) -> Result<(), Box<dyn Error>> {
+    fn change(&mut self, driver: Driver) -> Result<()> {
         let change = match (driver, &self.reference) {
             (Driver::Sticks, _) => Request::SetReference {
                 reference: json!(ReferenceSection::External {
@@ -320,13 +315,13 @@ impl DriveSession<'_> {
     }
 
     /// Asks something about the configuration.
-    fn question(&mut self, request: &Request) -> Result<(), Box<dyn Error>> {
+    fn question(&mut self, request: &Request) -> Result<()> {
         self.is_asked = true;
         Ok(self.session.send(request)?)
     }
 
     /// Arms a car that is ready.
-    fn settle(&mut self) -> Result<(), Box<dyn Error>> {
+    fn settle(&mut self) -> Result<()> {
         let Stage::Settling(driver, since) = self.stage else {
             return Ok(());
         };
@@ -348,7 +343,7 @@ impl DriveSession<'_> {
     }
 
     /// Stops a drive, or what leads to one.
-    fn stop(&mut self, request: &Request) -> Result<(), Box<dyn Error>> {
+    fn stop(&mut self, request: &Request) -> Result<()> {
         self.stage = self.stage.stopped();
         if self.stage == Stage::Off {
             return Ok(());
@@ -364,14 +359,14 @@ impl DriveSession<'_> {
         ask_within(request, self.socket, ANSWER)
     }
 
-    fn refused(&mut self, error: &str) -> Result<(), Box<dyn Error>> {
+    fn refused(&mut self, error: &str) -> Result<()> {
         self.pad.ended();
         self.stage = Stage::Off;
         print(error)
     }
 
     /// Handles a line of the session.
-    fn answered(&mut self, reply: Reply) -> Result<(), Box<dyn Error>> {
+    fn answered(&mut self, reply: Reply) -> Result<()> {
         let answer = match reply {
             Reply::Answer(answer) => answer,
             Reply::Ended { ended, .. } => {
@@ -424,7 +419,7 @@ impl DriveSession<'_> {
     }
 
     /// Sends the velocity of P. Without a fresh heading none is sent, and the car stops.
-    fn steer(&mut self, speed: f64, turn: f64) -> Result<(), Box<dyn Error>> {
+    fn steer(&mut self, speed: f64, turn: f64) -> Result<()> {
         let car = self.car.as_ref();
         let car = car.filter(|(at, _)| at.elapsed() < HEADING_AGE);
         let Some(yaw) = car.and_then(|(_, state)| state.yaw_rad) else {

@@ -9,11 +9,10 @@ use clap::ValueEnum;
 use singletrack_record::{Value, write_json_object};
 
 use super::{
-    DumpError,
     select::check_field,
     source::{Kind, Row, TIME},
 };
-use crate::help::printable;
+use crate::{Result, help::printable};
 
 /// Bytes that are printed at once, unless a reader waits for them.
 const BLOCK: usize = 64 << 10;
@@ -123,11 +122,7 @@ impl<'a, W: Write> Printer<'a, W> {
     }
 
     /// Prints a row. Reads its `values` if they are needed and not yet read.
-    pub(super) fn print(
-        &mut self,
-        mut row: Row<'_>,
-        values: &mut Vec<Value>,
-    ) -> Result<(), DumpError> {
+    pub(super) fn print(&mut self, mut row: Row<'_>, values: &mut Vec<Value>) -> Result<()> {
         let Some((kind, columns)) = self.columns.get(row.kind) else {
             return Ok(());
         };
@@ -184,7 +179,7 @@ impl<'a, W: Write> Printer<'a, W> {
     }
 
     /// Passes all text so far to the reader.
-    pub(super) fn flush(&mut self) -> Result<(), DumpError> {
+    pub(super) fn flush(&mut self) -> Result<()> {
         // Also after a failure: the text must not be printed twice.
         let text = if self.format == Format::Csv && !io::stdout().is_terminal() {
             Cow::Borrowed(self.text.as_str())

@@ -11,10 +11,10 @@ use singletrack_record::{ClockMapping, Entry, StatusRecord, TelemetryRecord, Val
 use singletrackd::{monotonic_ns, serial_port};
 
 use super::{
-    DumpArgs, DumpError,
-    source::{Frame, Kind, Message, Next, PATIENCE, Place, Row, Source, TELEMETRY, now},
+    DumpArgs,
+    source::{About, Frame, Kind, Message, Next, PATIENCE, Place, Row, Source, TELEMETRY, now},
 };
-use crate::operator::terminal::wait_to_read;
+use crate::{Result, operator::terminal::wait_to_read};
 
 /// How much is read at once.
 const READ_LENGTH: usize = 64 << 10;
@@ -165,11 +165,7 @@ pub(super) struct Line<'a> {
 impl<'a> Line<'a> {
     /// The frames of `kinds`, which are those of the line: from a serial port, which is never written
     /// to, from a capture, or from standard input.
-    pub(super) fn open(
-        place: &Place,
-        args: &DumpArgs,
-        kinds: &'a [Kind],
-    ) -> Result<Self, DumpError> {
+    pub(super) fn open(place: &Place, args: &DumpArgs, kinds: &'a [Kind]) -> Result<Self> {
         let name = place.to_string();
         let failed = |error: io::Error| unreadable(&name, &error);
         let input: Box<dyn AsFd> = match place {
@@ -288,8 +284,14 @@ fn unreadable(name: &str, error: &io::Error) -> String {
 }
 
 impl Source for Line<'_> {
-    fn start(&self) -> Option<ClockMapping> {
-        self.start
+    fn about(&self) -> About {
+        let hung_up = self.ended && self.start.is_some();
+        About {
+            start: self.start,
+            line_bytes: Some(self.taken),
+            note: hung_up.then(|| "the line hung up".to_owned()),
+            ..About::default()
+        }
     }
 
     fn next(&mut self) -> Next<'_> {
@@ -317,7 +319,7 @@ impl Source for Line<'_> {
         })))
     }
 
-    fn wait(&mut self) -> Result<(), DumpError> {
+    fn wait(&mut self) -> Result<()> {
         let failed = |error: io::Error| unreadable(&self.name, &error);
         if !wait_to_read([self.input.as_fd()], PATIENCE).map_err(failed)? {
             return Ok(());
@@ -339,14 +341,5 @@ impl Source for Line<'_> {
         received.truncate(read.unwrap_or(0));
         self.received = received.into_iter();
         Ok(())
-    }
-
-    fn note(&self) -> Option<String> {
-        let hung_up = self.ended && self.start.is_some();
-        hung_up.then(|| "the line hung up".to_owned())
-    }
-
-    fn line_bytes(&self) -> Option<u64> {
-        Some(self.taken)
     }
 }

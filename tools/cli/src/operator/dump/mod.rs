@@ -8,7 +8,6 @@ mod source;
 mod stats;
 
 use std::{
-    error::Error,
     io::{self, IsTerminal, Write},
     path::PathBuf,
     task::Poll,
@@ -24,13 +23,12 @@ use singletrack_record::Topic;
 use source::{Kind, Live, Place, Record, Source};
 use stats::Stats;
 
-use crate::{arguments::parse_duration, interrupt::Interrupt, operator::control::ControlArgs};
+use crate::{
+    Result, arguments::parse_duration, interrupt::Interrupt, operator::control::ControlArgs,
+};
 
 pub use format::Format;
 pub use select::{Condition, Moment};
-
-/// Why a dump failed, in words for the user.
-pub type DumpError = Box<dyn Error>;
 
 /// Options of `singletrack dump`.
 #[derive(Clone, Debug, Args)]
@@ -152,7 +150,7 @@ Examples:
 /// # Errors
 ///
 /// When the source can't be read, or a topic or a field does not exist.
-pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
+pub fn run(args: &DumpArgs) -> Result<()> {
     let stdout = io::stdout();
     let is_terminal = stdout.is_terminal();
     // Thousands of rows are of no use to a person.
@@ -175,7 +173,7 @@ pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
 ///
 /// When the source can't be read, a topic or a field does not exist, or the
 /// output can't be written.
-pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), DumpError> {
+pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<()> {
     print_or_count(args, format, false, output)
 }
 
@@ -185,7 +183,7 @@ fn print_or_count(
     format: Format,
     brief: bool,
     mut output: impl Write,
-) -> Result<(), DumpError> {
+) -> Result<()> {
     let counts = args.stats || brief;
     if counts && format == Format::Csv {
         return Err("--stats has no csv: use --format table or --format json".into());
@@ -220,7 +218,7 @@ fn print_or_count(
         line => Box::new(Line::open(line, args, kinds)?),
     };
     let source = source.as_mut();
-    filter.range = select::range(args, source, &name)?;
+    filter.range = select::range(args, &source.about(), &name)?;
     let end = args.duration.map(|duration| Instant::now() + duration);
     // Ctrl-C ends a process that prints, as it ends others.
     let interrupt = counts
@@ -233,7 +231,7 @@ fn print_or_count(
     if let Some(mut printer) = printer {
         printer.flush()?;
     } else {
-        let report = stats.report(&name, source);
+        let report = stats.report(&name, &source.about());
         let text = match format {
             Format::Json => serde_json::to_string_pretty(&report)?,
             Format::Table | Format::Csv => report.page(brief),
@@ -242,7 +240,7 @@ fn print_or_count(
         output.flush()?;
     }
     pumped?;
-    if let Some(note) = source.note() {
+    if let Some(note) = source.about().note {
         eprintln!("singletrack: {name}: {note}");
     }
     Ok(())
@@ -256,7 +254,7 @@ fn pump<W: Write>(
     stats: &mut Stats<'_>,
     filter: &Filter<'_>,
     is_over: impl Fn() -> bool,
-) -> Result<(), DumpError> {
+) -> Result<()> {
     let mut values = Vec::new();
     printer.as_mut().map_or(Ok(()), Printer::flush)?;
     while !is_over() {

@@ -6,9 +6,10 @@ use jiff::Timestamp;
 use singletrack_record::{Topic, Value};
 
 use super::{
-    DumpArgs, DumpError,
-    source::{Kind, Row, Source, TIME},
+    DumpArgs,
+    source::{About, Kind, Row, TIME},
 };
+use crate::Result;
 
 /// Chooses the kinds with these names; all if there are no names.
 pub(super) fn choose(kinds: &mut [Kind], names: &[String]) -> Result<(), String> {
@@ -240,11 +241,7 @@ impl<'a> Filter<'a> {
     }
 
     /// Whether the row meets all conditions. Reads its values if there are any.
-    pub(super) fn accepts(
-        &self,
-        row: &mut Row<'_>,
-        values: &mut Vec<Value>,
-    ) -> Result<bool, DumpError> {
+    pub(super) fn accepts(&self, row: &mut Row<'_>, values: &mut Vec<Value>) -> Result<bool> {
         let Some(Some(places)) = self.places.get(row.kind) else {
             return Ok(false);
         };
@@ -349,13 +346,9 @@ pub(super) fn check_order(args: &DumpArgs) -> Result<(), String> {
 
 /// The range in ns since the start of the source; none if neither end is given. One without an entry
 /// of the source is refused.
-pub(super) fn range(
-    args: &DumpArgs,
-    source: &dyn Source,
-    name: &str,
-) -> Result<Option<Range>, String> {
+pub(super) fn range(args: &DumpArgs, source: &About, name: &str) -> Result<Option<Range>, String> {
     let (from, to) = (args.from, args.to);
-    let (start_wall_ns, span_ns) = (source.start().map(|start| start.wall_ns), source.span_ns());
+    let (start_wall_ns, span_ns) = (source.start.map(|start| start.wall_ns), source.span_ns);
     let since = |option: &str, moment: Option<Moment>| match moment {
         None => Ok(None),
         Some(moment) => moment.since(start_wall_ns).map(Some).ok_or_else(|| {

@@ -20,8 +20,11 @@ use singletrack_record::{
 };
 use singletrackd::monotonic_ns;
 
-use super::{DumpArgs, DumpError};
-use crate::operator::entries::{Entries, Heard};
+use super::DumpArgs;
+use crate::{
+    Result,
+    operator::entries::{Entries, Heard},
+};
 
 /// The field that every row has beside its own: seconds since the start of the
 /// record, of the capture, or of listening.
@@ -121,7 +124,7 @@ pub(super) struct Record {
 
 impl Record {
     /// Opens a record to read the chosen kinds.
-    pub(super) fn open(path: &Path, kinds: &[Kind], follow: bool) -> Result<Self, DumpError> {
+    pub(super) fn open(path: &Path, kinds: &[Kind], follow: bool) -> Result<Self> {
         let reader = Reader::open(path)?.only(&chosen(kinds));
         Ok(Self { reader, follow })
     }
@@ -133,13 +136,17 @@ impl Record {
 }
 
 impl Source for Record {
-    fn start(&self) -> Option<ClockMapping> {
-        Some(self.reader.meta.start)
-    }
-
-    fn span_ns(&self) -> Option<[i64; 2]> {
-        let span = self.reader.span_wall_ns()?;
-        Some(span.map(|ns| self.since_start(ns)))
+    fn about(&self) -> About {
+        let unfinished = |ending: &Ending| matches!(ending, Ending::Unfinished { .. });
+        let ending = self.reader.ending.filter(unfinished);
+        let span = self.reader.span_wall_ns();
+        About {
+            start: Some(self.reader.meta.start),
+            span_ns: span.map(|span| span.map(|ns| self.since_start(ns))),
+            is_unfinished: ending.is_some(),
+            note: ending.map(|ending| ending.to_string()),
+            ..About::default()
+        }
     }
 
     fn next(&mut self) -> Next<'_> {
@@ -149,18 +156,9 @@ impl Source for Record {
                 time_ns: Some(self.since_start(wall_ns)),
                 message: Message::Recorded(&mut self.reader),
             })),
-            None if self.follow && self.is_unfinished() => Poll::Pending,
+            None if self.follow && self.about().is_unfinished => Poll::Pending,
             None => Poll::Ready(None),
         })
-    }
-
-    fn is_unfinished(&self) -> bool {
-        matches!(self.reader.ending, Some(Ending::Unfinished { .. }))
-    }
-
-    fn note(&self) -> Option<String> {
-        let ending = self.reader.ending.filter(|_| self.is_unfinished());
-        ending.map(|ending| ending.to_string())
     }
 }
 
@@ -174,7 +172,7 @@ pub(super) struct Live {
 
 impl Live {
     /// Subscribes to the chosen kinds, and waits until the daemon agrees.
-    pub(super) fn connect(path: &Path, kinds: &[Kind]) -> Result<Self, DumpError> {
+    pub(super) fn connect(path: &Path, kinds: &[Kind]) -> Result<Self> {
         Ok(Self {
             path: path.to_owned(),
             entries: Entries::watch(path, chosen(kinds))?,
@@ -185,8 +183,12 @@ impl Live {
 }
 
 impl Source for Live {
-    fn start(&self) -> Option<ClockMapping> {
-        Some(self.start)
+    fn about(&self) -> About {
+        About {
+            start: Some(self.start),
+            missed: self.missed,
+            ..About::default()
+        }
     }
 
     fn next(&mut self) -> Next<'_> {
@@ -215,13 +217,9 @@ impl Source for Live {
         }
     }
 
-    fn wait(&mut self) -> Result<(), DumpError> {
+    fn wait(&mut self) -> Result<()> {
         thread::sleep(LIVE);
         Ok(())
-    }
-
-    fn missed(&self) -> u64 {
-        self.missed
     }
 }
 
@@ -337,7 +335,7 @@ impl Row<'_> {
     }
 
     /// Fills `values` with its fields, in the order of its kind, unless they are there.
-    pub(super) fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
+    pub(super) fn read_values(&mut self, values: &mut Vec<Value>) -> Result<()> {
         match &mut self.message {
             _ if !values.is_empty() => return Ok(()),
             Message::Recorded(reader) => reader.read_values(values)?,
@@ -353,7 +351,7 @@ impl Row<'_> {
 
     /// Adds it to `json` as one object with all its fields: an entry as a record has it, a frame with
     /// its time.
-    pub(super) fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
+    pub(super) fn write_json(&mut self, json: &mut String) -> Result<()> {
         let time = self.time();
         match &mut self.message {
             Message::Recorded(reader) => reader.write_json(json)?,
@@ -369,45 +367,37 @@ impl Row<'_> {
 }
 
 /// The next row of a source, nothing at its end, or nothing yet: [`Source::wait`] waits for more.
-pub(super) type Next<'a> = Result<Poll<Option<Row<'a>>>, DumpError>;
+pub(super) type Next<'a> = Result<Poll<Option<Row<'a>>>>;
+
+/// What is known of a source beside its rows.
+#[derive(Clone, Debug, Default)]
+pub(super) struct About {
+    /// When it starts, if that is known.
+    pub(super) start: Option<ClockMapping>,
+    /// The times of its first and its last row, in ns since its start, if they are known before it is
+    /// read.
+    pub(super) span_ns: Option<[i64; 2]>,
+    /// Bytes that came over the line.
+    pub(super) line_bytes: Option<u64>,
+    /// Rows that it could not hand over in time.
+    pub(super) missed: u64,
+    /// Whether it is a record that has not been finished.
+    pub(super) is_unfinished: bool,
+    /// A note for standard error, of how it ended.
+    pub(super) note: Option<String>,
+}
 
 /// Gives rows, one after another.
 pub(super) trait Source {
-    /// When it starts, if that is known.
-    fn start(&self) -> Option<ClockMapping>;
-
-    /// The times of its first and its last row, in ns since its start, if they are known before it is
-    /// read.
-    fn span_ns(&self) -> Option<[i64; 2]> {
-        None
-    }
+    /// What is known so far beside the rows.
+    fn about(&self) -> About;
 
     /// Goes to the next row, without waiting.
     fn next(&mut self) -> Next<'_>;
 
     /// Waits for more, but not for long.
-    fn wait(&mut self) -> Result<(), DumpError> {
+    fn wait(&mut self) -> Result<()> {
         thread::sleep(PATIENCE);
         Ok(())
-    }
-
-    /// A note for standard error, of how it ended.
-    fn note(&self) -> Option<String> {
-        None
-    }
-
-    /// Bytes that came over the line.
-    fn line_bytes(&self) -> Option<u64> {
-        None
-    }
-
-    /// Rows that it could not hand over in time.
-    fn missed(&self) -> u64 {
-        0
-    }
-
-    /// Whether it is a record that has not been finished.
-    fn is_unfinished(&self) -> bool {
-        false
     }
 }

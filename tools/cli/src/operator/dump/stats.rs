@@ -11,10 +11,8 @@ use singletrack_protocol::{
 };
 use singletrack_record::{Entry, TickRecord};
 
-use super::{
-    DumpError,
-    source::{Kind, Message, Row, Source},
-};
+use super::source::{About, Kind, Message, Row};
+use crate::Result;
 
 /// All statistics. Values that the source does not have are null or empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -220,7 +218,7 @@ impl<'a> Stats<'a> {
     }
 
     /// Counts a row.
-    pub(super) fn add(&mut self, row: Row<'_>) -> Result<(), DumpError> {
+    pub(super) fn add(&mut self, row: Row<'_>) -> Result<()> {
         if let Some(time_ns) = row.time_ns {
             let [first_ns, last_ns] = self.span_ns.unwrap_or([time_ns; 2]);
             self.span_ns = Some([first_ns.min(time_ns), last_ns.max(time_ns)]);
@@ -355,13 +353,13 @@ impl<'a> Stats<'a> {
     }
 
     /// All that has been counted.
-    pub(super) fn report(&self, name: &str, source: &dyn Source) -> Report {
+    pub(super) fn report(&self, name: &str, source: &About) -> Report {
         let [first_ns, last_ns] = self.span_ns.unwrap_or_default();
         let span_s = seconds(last_ns - first_ns);
         let mut report = Report {
             source: name.to_owned(),
-            unfinished: source.is_unfinished(),
-            missed: source.missed(),
+            unfinished: source.is_unfinished,
+            missed: source.missed,
             span_s,
             lateness_us: Durations::of(&self.lateness_us),
             capture_to_command_us: Durations::of(&self.capture_to_command_us),
@@ -381,7 +379,7 @@ impl<'a> Stats<'a> {
                 longest_gap_at_s,
             });
         }
-        report.line.bytes = source.line_bytes();
+        report.line.bytes = source.line_bytes;
         let rate = |bytes: u64| (span_s > 0.0).then(|| bytes as f64 / span_s);
         report.line.bytes_per_s = report.line.bytes.and_then(rate);
         report

@@ -7,7 +7,6 @@
 mod verdict;
 
 use std::{
-    error::Error,
     fmt,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -23,7 +22,7 @@ use singletrack_pilot::PilotConfig;
 use singletrack_record::{Ending, Entry, Meta, Reader, Replay, TickRecord, Topic};
 use toml::{Table, Value};
 
-use crate::{help::printable, progress::progress_bar};
+use crate::{Result, help::printable, progress::progress_bar};
 
 pub use verdict::{Deviation, Deviations};
 
@@ -79,7 +78,7 @@ fn so_far(ticks: u64) -> String {
 /// # Errors
 ///
 /// What can't be read or replayed; without `--set`, the first output that differs.
-pub fn run(args: &ReplayArgs) -> Result<ExitCode, Box<dyn Error>> {
+pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let start = Instant::now();
     let mut replay = pilot(&args.record, &args.set)?;
     let mut ticks = Reader::open(&args.record)?.only(&[Topic::Tick]);
@@ -273,7 +272,7 @@ impl Span {
 }
 
 /// A pilot with the configurations of a record, all of them changed by `changes`.
-pub(super) fn pilot(path: &Path, changes: &[Change]) -> Result<Replay, Box<dyn Error>> {
+pub(super) fn pilot(path: &Path, changes: &[Change]) -> Result<Replay> {
     let mut reader = Reader::open(path)?.only(&[Topic::Configuration]);
     if reader.meta.software.contains_key(import::SOFTWARE) {
         let path = path.display();
@@ -299,12 +298,7 @@ pub(super) fn pilot(path: &Path, changes: &[Change]) -> Result<Replay, Box<dyn E
     Ok(replay)
 }
 
-fn configuration(
-    path: &Path,
-    number: u32,
-    toml: &str,
-    changes: &[Change],
-) -> Result<PilotConfig, Box<dyn Error>> {
+fn configuration(path: &Path, number: u32, toml: &str, changes: &[Change]) -> Result<PilotConfig> {
     let read = |toml: &str| -> Result<(PilotConfig, Config), ConfigError> {
         let config = Config::from_toml(toml)?;
         Ok((config.pilot()?, config))

@@ -6,7 +6,6 @@
 mod trajectory;
 
 use std::{
-    error::Error,
     io, iter, mem,
     path::{Path, PathBuf},
     sync::mpsc::{self, RecvTimeoutError},
@@ -19,6 +18,7 @@ use singletrack_api::{Answer, ClientError, Connection, Request, Setpoint, ask, e
 use singletrackd::monotonic_ns;
 
 use crate::{
+    Result,
     arguments::parse_duration,
     operator::control::{ControlArgs, finite},
 };
@@ -149,7 +149,7 @@ fn input() -> impl Iterator<Item = Result<Setpoint, String>> {
 /// # Errors
 ///
 /// The first one that is not a set-point, or that the daemon refuses.
-pub fn run(args: &SetpointArgs) -> Result<(), Box<dyn Error>> {
+pub fn run(args: &SetpointArgs) -> Result<()> {
     let source = setpoints(&args.demand, args.control.socket.clone())?;
     let mut connection = Connection::open(&args.control.socket, PATIENCE)?;
     let (given, setpoints) = mpsc::channel();

@@ -3,7 +3,6 @@
 mod summary;
 
 use std::{
-    error::Error,
     io::{self, Write as _},
     path::Path,
     time::{Duration, Instant},
@@ -15,6 +14,7 @@ use singletrack_api::{Answer, ClientError, Connection, Reply, Request, ask, ask_
 use summary::Summary;
 
 use crate::{
+    Result,
     interrupt::Interrupt,
     operator::{
         control::{ControlArgs, print},
@@ -44,7 +44,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// # Errors
 ///
 /// When the daemon can't be asked, or refuses.
-pub fn run(args: &StatusArgs) -> Result<(), Box<dyn Error>> {
+pub fn run(args: &StatusArgs) -> Result<()> {
     let socket = &args.control.socket;
     if args.watch {
         return watch(socket);
@@ -83,7 +83,7 @@ struct Feed {
 }
 
 impl Feed {
-    fn open(socket: &Path) -> Result<Self, Box<dyn Error>> {
+    fn open(socket: &Path) -> Result<Self> {
         let status = ask(&Request::Status {}, socket)?.status;
         let missing = || ClientError::NoAnswer("an answer without a status".to_owned());
         Ok(Self {
@@ -97,7 +97,7 @@ impl Feed {
     }
 
     /// Takes what has come, and waits a little if nothing has.
-    fn renew(&mut self) -> Result<(), Box<dyn Error>> {
+    fn renew(&mut self) -> Result<()> {
         if let Some(answer) = self.questions.receive::<Answer>()? {
             if let Some(status) = answer.agreed()?.status {
                 self.summary.take_status(status);
@@ -148,7 +148,7 @@ impl Feed {
 
 /// Shows the status until Ctrl-C: as a picture on a terminal, which `q` ends as well, and in lines
 /// elsewhere.
-fn watch(socket: &Path) -> Result<(), Box<dyn Error>> {
+fn watch(socket: &Path) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let mut feed = Feed::open(socket)?;
     let mut screen = Screen::open()?;
