@@ -10,7 +10,7 @@ use std::{
     net::{IpAddr, SocketAddr},
     path::{Path, PathBuf},
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc,
         atomic::{AtomicBool, Ordering},
     },
     time::Duration,
@@ -25,7 +25,7 @@ use singletrack_core::config::LiveSection;
 use singletrack_record::{Channel, ClockMapping};
 use tokio::{
     runtime::{self, Runtime},
-    sync::Notify,
+    sync::{Notify, watch},
     time::timeout,
 };
 
@@ -58,7 +58,7 @@ pub struct Live {
 struct Shared {
     is_watched: AtomicBool,
     /// Why there is no daemon.
-    lost: Mutex<Option<String>>,
+    lost: watch::Sender<Option<String>>,
 }
 
 impl Live {
@@ -100,24 +100,13 @@ impl Live {
         })?;
         let follower = Follower::start(move || {
             let followed = follow(&socket, &publisher, &shared);
-            followed.inspect_err(|error| shared.set_lost(Some(error.to_string())))
+            followed.inspect_err(|error| drop(shared.lost.send_replace(Some(error.to_string()))))
         })?;
         Ok(Self {
             address,
             _server: server,
             _follower: follower,
         })
-    }
-}
-
-impl Shared {
-    fn lost(&self) -> Option<String> {
-        let lost = self.lost.lock().unwrap_or_else(PoisonError::into_inner);
-        lost.clone()
-    }
-
-    fn set_lost(&self, why: Option<String>) {
-        *self.lost.lock().unwrap_or_else(PoisonError::into_inner) = why;
     }
 }
 
@@ -175,7 +164,7 @@ fn follow(socket: &Path, publisher: &Publisher, shared: &Shared) -> Result<(), C
         return Ok(());
     }
     let mut stream = MessageStream::open(socket, &[], PATIENCE)?;
-    shared.set_lost(None);
+    shared.lost.send_replace(None);
     let clocks = stream.clocks;
     let clocks = ClockMapping {
         monotonic_ns: clocks.monotonic_ns,
@@ -199,7 +188,7 @@ fn serve(runtime: &Runtime, handle: WebSocketServerHandle, shared: &Shared, stop
         while timeout(POLL_INTERVAL, &mut stopped).await.is_err() {
             let viewers = handle.client_count();
             shared.is_watched.store(viewers > 0, Ordering::Relaxed);
-            told.tell(&handle, viewers, shared.lost());
+            told.tell(&handle, viewers, shared.lost.borrow().clone());
         }
         // A viewer that does not close its connection is not waited for.
         let _ = timeout(CLOSE_TIMEOUT, handle.stop().wait()).await;

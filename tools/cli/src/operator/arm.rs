@@ -5,7 +5,7 @@
 
 use std::{
     io::{self, Write as _},
-    path::{Path, PathBuf},
+    path::PathBuf,
     process::ExitCode,
     time::{Duration, Instant},
 };
@@ -54,7 +54,7 @@ const WAIT: Duration = Duration::from_millis(20);
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// What is shown with the mode of a drive.
-const CTRL_C: &str = "(Ctrl-C stops the car)";
+pub(crate) const CTRL_C: &str = "(Ctrl-C stops the car)";
 
 /// Reasons with which a drive ends as its operator wanted.
 const WANTED: [&str; 3] = ["requested", "reference-finished", "time-up"];
@@ -84,13 +84,13 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let interrupt = Interrupt::listen()?;
-    let mut drive = Drive::connect(&args.control, "the drive", RENEWAL)?;
+    let mut drive = Drive::connect(&args.control, interrupt, "the drive", RENEWAL)?;
     let (attendance, renewal) = match args.time {
         None => (Attendance::Hold, Request::Hold {}),
         Some(_) => (Attendance::Timed, Request::Status {}),
     };
     drive.held.connection.send(&args.request(attendance))?;
-    drive.attend(&interrupt, &renewal, None)
+    drive.attend(None, || Ok(Some((renewal.clone(), CTRL_C.to_owned()))))
 }
 
 impl ArmArgs {
@@ -104,56 +104,50 @@ impl ArmArgs {
     }
 }
 
-/// A connection that attends a drive.
+/// A connection that attends a drive, and what a terminal shows of it.
 pub(crate) struct Drive {
     pub(crate) held: HeldDrive,
-    progress: Progress,
     socket: PathBuf,
+    interrupt: Interrupt,
+    /// Names the drive in the message about its end.
+    what: &'static str,
+    bar: ProgressBar,
 }
 
 impl Drive {
-    /// `what` names the drive in the message about its end.
+    /// Connects, for a renewal at every `interval`.
     pub(crate) fn connect(
         args: &ControlArgs,
+        interrupt: Interrupt,
         what: &'static str,
         interval: Duration,
     ) -> Result<Self> {
         Ok(Self {
             held: HeldDrive::new(Connection::open(&args.socket, PATIENCE)?, interval),
-            progress: Progress::new(what),
             socket: args.socket.clone(),
+            interrupt,
+            what,
+            bar: progress_bar(0, "{prefix}  {msg}").with_prefix("mode arming"),
         })
     }
 
-    /// Sends `renewal` at every interval until the drive has ended. Ctrl-C disarms the car, as
-    /// does the end of this time after it was armed, and the end is still waited for.
+    /// Sends the renewal that `renewal` gives at every interval until the drive has ended, and shows
+    /// its text with the mode. Ctrl-C disarms the car, as does the end of this time after it was
+    /// armed, or no renewal; and the end is still waited for.
     pub(crate) fn attend(
         &mut self,
-        interrupt: &Interrupt,
-        renewal: &Request,
-        time: Option<Duration>,
-    ) -> Result<ExitCode> {
-        self.attend_with(interrupt, time, || {
-            Ok(Some((renewal.clone(), CTRL_C.to_owned())))
-        })
-    }
-
-    /// Attends the drive with the renewal that `renewal` gives at every interval, and what to show with the mode; `None` disarms the car, as Ctrl-C does.
-    pub(crate) fn attend_with(
-        &mut self,
-        interrupt: &Interrupt,
         time: Option<Duration>,
         mut renewal: impl FnMut() -> Result<Option<(Request, String)>>,
     ) -> Result<ExitCode> {
         let begun = Instant::now();
         let mut armed: Option<Instant> = None;
-        let mut is_disarmed = false;
-        let mut is_let_go = false;
+        let (mut is_disarmed, mut is_let_go) = (false, false);
         loop {
-            let is_over_time = armed
+            let passed = armed.map(|armed| armed.elapsed());
+            let is_over_time = passed
                 .zip(time)
-                .is_some_and(|(armed, time)| armed.elapsed() >= time);
-            if (interrupt.is_raised() || is_over_time || is_let_go) && !is_disarmed {
+                .is_some_and(|(passed, time)| passed >= time);
+            if (self.interrupt.is_raised() || is_over_time || is_let_go) && !is_disarmed {
                 is_disarmed = true;
                 // On a connection of its own: this one may wait for the board to arm.
                 ask(&Request::DISARM, &self.socket)?;
@@ -162,7 +156,7 @@ impl Drive {
                 match renewal()? {
                     Some((renewal, note)) => {
                         self.held.connection.send(&renewal)?;
-                        self.progress.bar.set_message(note);
+                        self.bar.set_message(note);
                     }
                     None => is_let_go = true,
                 }
@@ -170,38 +164,50 @@ impl Drive {
             let Some(line) = self.held.connection.receive_within(WAIT)? else {
                 continue;
             };
-            let answer = match line {
-                Reply::Ended { ended, .. } => {
-                    return self.progress.end(&ended, begun, &self.socket);
-                }
-                Reply::Drive { drive, .. } => {
-                    let (mode, reason) = (drive.mode, drive.reason);
-                    let state = Ended { mode, reason };
-                    self.progress.show(&state, drive.drive_time_s);
-                    continue;
-                }
-                answer => answer.agreed()?,
-            };
-            match answer.status {
-                // Of a timed drive, which the daemon does not report.
-                Some(status) => {
+            let (mode, reason, time_s) = match line {
+                Reply::Ended { ended, .. } => return self.end(&ended, begun),
+                Reply::Drive { drive, .. } => (drive.mode, drive.reason, drive.drive_time_s),
+                answer => {
+                    let answer = answer.agreed()?;
+                    let Some(status) = answer.status else {
+                        if armed.is_none() {
+                            self.bar.suspend(|| warn(&answer.warnings));
+                            armed = Some(Instant::now());
+                        }
+                        continue;
+                    };
+                    // Of a timed drive, which the daemon does not report.
                     let Some(state) = status.state.filter(|_| armed.is_some()) else {
                         continue;
                     };
                     let (mode, reason) = (state.mode, state.reason);
-                    let ended = Ended { mode, reason };
-                    if is_over(&ended.mode) {
-                        return self.progress.end(&ended, begun, &self.socket);
+                    if matches!(&*mode, "idle" | "ready" | "disconnected" | "fault") {
+                        return self.end(&Ended { mode, reason }, begun);
                     }
-                    self.progress.show(&ended, state.drive_time_s);
+                    (mode, reason, state.drive_time_s)
                 }
-                None if armed.is_none() => {
-                    self.progress.bar.suspend(|| warn(&answer.warnings));
-                    armed = Some(Instant::now());
-                }
-                None => {}
-            }
+            };
+            let time = time_s.map(|time_s| format!(" {time_s:5.1} s"));
+            let state = Ended { mode, reason }.to_string();
+            self.bar.set_prefix(state + &time.unwrap_or_default());
         }
+    }
+
+    /// Prints how the drive ended, and chooses the exit status.
+    fn end(&self, ended: &Ended, begun: Instant) -> Result<ExitCode> {
+        self.bar.finish_and_clear();
+        let (what, time_s) = (self.what, begun.elapsed().as_secs_f64());
+        print(&format!("{what} has ended after {time_s:.1} s: {ended}"))?;
+        let as_wanted = is_wanted(ended);
+        if let Some(word) = ended.reason.as_deref().filter(|_| !as_wanted) {
+            // What the board says about it, if the daemon still answers.
+            let status = ask_within(&Request::Status {}, &self.socket, PATIENCE).ok();
+            print(&match status.and_then(|answer| answer.status) {
+                Some(status) => Why::explain(word, &status).to_string(),
+                None => Why::of_word("host", word).to_string(),
+            })?;
+        }
+        Ok(ended_as_wanted(as_wanted))
     }
 }
 
@@ -210,54 +216,6 @@ pub(crate) fn warn(warnings: &[String]) {
     for warning in warnings {
         // A terminal that has gone takes no output.
         let _ = writeln!(io::stderr(), "singletrack: warning: {warning}");
-    }
-}
-
-/// Whether a mode is one of a car that does not drive.
-fn is_over(mode: &str) -> bool {
-    matches!(mode, "idle" | "ready" | "disconnected" | "fault")
-}
-
-/// Shows on a terminal how the drive goes on.
-struct Progress {
-    what: &'static str,
-    bar: ProgressBar,
-}
-
-impl Progress {
-    fn new(what: &'static str) -> Self {
-        Self {
-            what,
-            bar: progress_bar(0, "{prefix}  {msg}").with_prefix("mode arming"),
-        }
-    }
-
-    /// Shows how the drive goes on.
-    fn show(&self, state: &Ended, drive_time_s: Option<f64>) {
-        let time = drive_time_s.map(|time_s| format!(" {time_s:5.1} s"));
-        self.bar
-            .set_prefix(state.to_string() + &time.unwrap_or_default());
-    }
-
-    /// Prints how the drive ended, and chooses the exit status.
-    fn end(&self, ended: &Ended, begun: Instant, socket: &Path) -> Result<ExitCode> {
-        self.bar.finish_and_clear();
-        print(&format!(
-            "{} has ended after {:.1} s: {}",
-            self.what,
-            begun.elapsed().as_secs_f64(),
-            ended
-        ))?;
-        let as_wanted = is_wanted(ended);
-        if let Some(word) = ended.reason.as_deref().filter(|_| !as_wanted) {
-            // What the board says about it, if the daemon still answers.
-            let status = ask_within(&Request::Status {}, socket, PATIENCE).ok();
-            print(&match status.and_then(|answer| answer.status) {
-                Some(status) => Why::explain(word, &status).to_string(),
-                None => Why::of_word("host", word).to_string(),
-            })?;
-        }
-        Ok(ended_as_wanted(as_wanted))
     }
 }
 

@@ -17,7 +17,7 @@ use crate::{
     Result,
     interrupt::Interrupt,
     operator::{
-        arm::{Drive, parse_time},
+        arm::{CTRL_C, Drive, parse_time},
         control::ControlArgs,
         terminal::{RawTerminal, read_now},
     },
@@ -58,7 +58,7 @@ pub fn run(args: &JogArgs) -> Result<ExitCode> {
     // Before the board is armed: without a terminal it is not.
     let keyboard = args.keys.then(open_keyboard).transpose()?;
     let interval = if keyboard.is_some() { KEYS } else { RENEWAL };
-    let mut drive = Drive::connect(&args.control, "jogging", interval)?;
+    let mut drive = Drive::connect(&args.control, interrupt, "jogging", interval)?;
     drive.held.connection.send(&Request::Arm(Arm {
         attendance: Some(Attendance::Hold),
         jog: true,
@@ -70,11 +70,11 @@ pub fn run(args: &JogArgs) -> Result<ExitCode> {
     };
     // It takes keys one by one until it is dropped.
     let Some(_terminal) = keyboard else {
-        return drive.attend(&interrupt, &request(begun), args.time);
+        return drive.attend(args.time, || Ok(Some((request(begun), CTRL_C.to_owned()))));
     };
     let mut keyboard = Keyboard::new(begun, Time(monotonic_ns()));
     let mut bytes = Vec::new();
-    drive.attend_with(&interrupt, args.time, || {
+    drive.attend(args.time, || {
         read_now(&mut bytes)?;
         let now = Time(monotonic_ns());
         while let Some(key) = next_key(&mut bytes) {

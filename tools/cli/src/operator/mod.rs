@@ -9,9 +9,8 @@ pub mod drive;
 pub mod dump;
 mod entries;
 pub mod fleet;
-pub mod import;
 pub mod jog;
-pub mod recover;
+pub mod records;
 pub mod replay;
 pub mod setpoint;
 pub mod status;
@@ -47,9 +46,9 @@ pub enum OperatorCommand {
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
     /// Make a record of the log of another program.
-    Import(import::ImportArgs),
+    Import(records::ImportArgs),
     /// Repair a truncated or damaged record.
-    Recover(recover::RecoverArgs),
+    Recover(records::RecoverArgs),
     /// Run the pilot on a record's inputs again and compare its outputs with the recorded ones.
     Replay(replay::ReplayArgs),
     /// Print what the daemon does: mode, reason, what to do about it, and what the car senses.
@@ -92,8 +91,8 @@ pub fn run(command: &OperatorCommand) -> Result<ExitCode> {
         Of::Calibrate(args) => return bench::run(&bench::CALIBRATE, args),
         Of::Accept(args) => accept::run(args)?,
         Of::Dump(args) => dump::run(args)?,
-        Of::Import(args) => import::run(args)?,
-        Of::Recover(args) => recover::run(args)?,
+        Of::Import(args) => records::import(args)?,
+        Of::Recover(args) => records::recover(args)?,
         Of::Replay(args) => return replay::run(args),
         Of::Status(args) => status::run(args)?,
         Of::Arm(args) => return arm::run(args),

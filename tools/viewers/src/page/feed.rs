@@ -1,18 +1,24 @@
-//! The newest state and status, for all browsers at once.
+//! The newest state and status, for all browsers at once; and what the page needs once: where the car
+//! may be, where it should be, how large it is, and what the reasons mean.
 
 use std::{
     collections::VecDeque,
     path::{Path, PathBuf},
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
     thread,
     time::{Duration, Instant},
 };
 
 use serde_json::{Map, Value, json};
-use singletrack_api::{Answer, ClientError, Connection, Request, ask_as};
-use tokio::sync::watch;
+use singletrack_api::{
+    Answer, ClientError, Code, Connection, Refused, Request, ask_as, ask_within,
+};
+use singletrack_core::{config::Config, top_view};
+use tokio::{
+    sync::{Notify, watch},
+    task::spawn_blocking,
+};
 
-use super::setup::car;
 use crate::daemon::PATIENCE;
 
 /// Interval of the states, and of the statuses.
@@ -63,10 +69,10 @@ pub(super) struct Feed {
     pub(super) states: watch::Sender<Arc<str>>,
     /// The status, or why there is no daemon.
     pub(super) statuses: watch::Sender<Arc<str>>,
-    /// The last states of this daemon, for a viewer that has just come.
-    history: Mutex<VecDeque<Map<String, Value>>>,
+    /// The last states of this daemon, the oldest first, for a viewer that has just come.
+    pub(super) history: watch::Sender<VecDeque<Map<String, Value>>>,
     /// The newest of every other car; null without its daemon.
-    others: Mutex<Vec<Value>>,
+    others: watch::Sender<Vec<Value>>,
 }
 
 impl Feed {
@@ -75,18 +81,13 @@ impl Feed {
         Self {
             states: watch::Sender::new(Arc::from("")),
             statuses: watch::Sender::new(Arc::from("")),
-            history: Mutex::default(),
-            others: Mutex::new(vec![Value::Null; others]),
+            history: watch::Sender::default(),
+            others: watch::Sender::new(vec![Value::Null; others]),
         }
     }
 
     pub(super) fn is_watched(&self) -> bool {
         self.states.receiver_count() > 0
-    }
-
-    /// The last states, the oldest first.
-    pub(super) fn history(&self) -> MutexGuard<'_, VecDeque<Map<String, Value>>> {
-        self.history.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Publishes what the daemon at `socket` does for as long as a browser watches,
@@ -99,7 +100,7 @@ impl Feed {
         let streamed = self.stream(socket, |newest| {
             if asked.is_none() {
                 // Another daemon may have answered before.
-                self.history().clear();
+                self.history.send_modify(VecDeque::clear);
             }
             if asked.is_none_or(|asked| asked.elapsed() >= STATUS_INTERVAL) {
                 asked = Some(Instant::now());
@@ -110,7 +111,7 @@ impl Feed {
             }
             if let Some(mut state) = newest {
                 self.keep(&state);
-                let others = self.others();
+                let others = self.others.borrow();
                 if let (Some(state), false) = (state.as_object_mut(), others.is_empty()) {
                     state.insert("others".to_owned(), json!(*others));
                 }
@@ -131,11 +132,7 @@ impl Feed {
         if !self.is_watched() {
             return Ok(());
         }
-        let set = |value| {
-            if let Some(other) = self.others().get_mut(index) {
-                *other = value;
-            }
-        };
+        let set = |value| self.others.send_modify(|others| others[index] = value);
         let mut shown = car(&other.socket)?;
         if let Some(shown) = shown.as_object_mut() {
             shown.insert("colour".to_owned(), json!(other.colour));
@@ -180,16 +177,13 @@ impl Feed {
         Ok(())
     }
 
-    fn others(&self) -> MutexGuard<'_, Vec<Value>> {
-        self.others.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn keep(&self, state: &Value) {
-        let mut history = self.history();
-        if history.len() == STATES {
-            history.pop_front();
-        }
-        history.push_back(picked(state, &KEPT).collect());
+        self.history.send_modify(|history| {
+            if history.len() == STATES {
+                history.pop_front();
+            }
+            history.push_back(picked(state, &KEPT).collect());
+        });
     }
 }
 
@@ -202,6 +196,89 @@ fn picked<'a>(state: &'a Value, keys: &'a [&str]) -> impl Iterator<Item = (Strin
 /// An event.
 fn event(name: &str, data: &Value) -> Arc<str> {
     Arc::from(format!("event: {name}\ndata: {data}\n\n"))
+}
+
+/// For this long an answer is given again.
+const FRESH: Duration = Duration::from_secs(1);
+
+/// The answer to `/setup.json`: made once for all that ask for it together.
+#[derive(Debug, Default)]
+pub(super) struct Setup {
+    wanted: Notify,
+    newest: watch::Sender<Option<(Instant, SetupAnswer)>>,
+}
+
+/// The answer, or why there is none.
+type SetupAnswer = Result<Arc<str>, Arc<str>>;
+
+impl Setup {
+    /// An answer that is at most [`FRESH`] old.
+    pub(super) async fn get(&self) -> SetupAnswer {
+        let mut newest = self.newest.subscribe();
+        loop {
+            if let Some(answer) = fresh(newest.borrow_and_update().as_ref()) {
+                return answer;
+            }
+            self.wanted.notify_one();
+            if newest.changed().await.is_err() {
+                return Err(Arc::from("the page ends"));
+            }
+        }
+    }
+
+    /// Asks the daemon at `socket`, one question at a time, for as long as it is polled.
+    pub(super) async fn run(&self, socket: &Path) {
+        loop {
+            self.wanted.notified().await;
+            if fresh(self.newest.borrow().as_ref()).is_some() {
+                continue;
+            }
+            let socket = socket.to_owned();
+            let asked = spawn_blocking(move || {
+                let (number, config) = configuration(&socket)?;
+                Ok::<_, ClientError>(top_view::setup(number, &config).to_string())
+            })
+            .await;
+            let answer = match asked {
+                Ok(Ok(setup)) => Ok(Arc::from(setup)),
+                Ok(Err(error)) => Err(Arc::from(error.to_string())),
+                Err(error) => Err(Arc::from(error.to_string())),
+            };
+            self.newest.send_replace(Some((Instant::now(), answer)));
+        }
+    }
+}
+
+fn fresh(newest: Option<&(Instant, SetupAnswer)>) -> Option<SetupAnswer> {
+    let (made, answer) = newest?;
+    (made.elapsed() < FRESH).then(|| answer.clone())
+}
+
+/// The configuration in force of the daemon at `socket`, and its number.
+fn configuration(socket: &Path) -> Result<(u32, Config), ClientError> {
+    let answer = ask_within(&Request::Configuration {}, socket, PATIENCE)?;
+    let (Some(number), Some(text)) = (answer.configuration, answer.toml) else {
+        let why = "the daemon's configuration has no number or no text";
+        return Err(Refused::new(Code::Other, why).into());
+    };
+    // It is in force: the daemon has judged it.
+    let config = toml::from_str(&text).map_err(|error| {
+        Refused::new(
+            Code::Other,
+            format_args!("can't read the daemon's configuration: {error}; is it the same version?"),
+        )
+    })?;
+    Ok((number, config))
+}
+
+/// What the page needs of another car, whose daemon is at `socket`.
+fn car(socket: &Path) -> Result<Value, ClientError> {
+    let (_, config) = configuration(socket)?;
+    Ok(json!({
+        "car": top_view::car(&config),
+        "corners_m": config.fence.corners_m,
+        "hold_ms": config.supervisor.hold_ms,
+    }))
 }
 
 #[cfg(test)]

@@ -19,7 +19,6 @@ mod feed;
 mod request;
 mod respond;
 mod server;
-mod setup;
 
 pub use feed::OtherCar;
 pub use request::{BadRequest, Request};

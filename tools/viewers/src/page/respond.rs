@@ -1,7 +1,6 @@
 //! Answers one request.
 
-use core::fmt::Write as _;
-use std::{io, sync::Arc, time::Duration};
+use std::{borrow::Cow, io, sync::Arc, time::Duration};
 
 use serde_json::json;
 use singletrack_api::access::{Place, Token, linger};
@@ -17,9 +16,8 @@ use tokio::{
 };
 
 use super::{
-    feed::Feed,
+    feed::{Feed, Setup},
     request::{BadRequest, Request},
-    setup::Setup,
 };
 
 const HTML: &str = "text/html; charset=utf-8";
@@ -113,72 +111,81 @@ async fn brief<'a>(
     let Some(request) = Request::read(&mut *read).await? else {
         return Ok(None);
     };
-    let viewer = answer(write, request, shared).await?;
-    if viewer.is_none() {
-        write.shutdown().await?;
-        linger(read).await;
-    }
-    Ok(viewer)
+    let is_head = request.as_ref().is_ok_and(|it| it.method == "HEAD");
+    let answer = match content(request, shared).await {
+        Ok(Content::Events(viewer)) if !is_head => {
+            write_all(write, head(OK, EVENTS, None).as_bytes()).await?;
+            return Ok(Some(viewer));
+        }
+        Ok(Content::Events(_)) => head(OK, EVENTS, None),
+        Ok(Content::Text(kind, text)) => {
+            head(OK, kind, Some(text.len())) + if is_head { "" } else { &text }
+        }
+        Err((status, why)) => head(status, TEXT, Some(why.len() + 1)) + &why + "\n",
+    };
+    write_all(write, answer.as_bytes()).await?;
+    write.shutdown().await?;
+    linger(read).await;
+    Ok(None)
 }
 
-async fn answer<'a>(
-    write: &mut OwnedWriteHalf,
+/// What a request is answered with: a text of a type, or the events.
+enum Content<'a> {
+    Text(&'static str, Cow<'static, str>),
+    Events(Viewer<'a>),
+}
+
+/// What a request asks for; or the status line, and why it is refused.
+async fn content<'a>(
     request: Result<Request, BadRequest>,
     shared: &'a Shared,
-) -> io::Result<Option<Viewer<'a>>> {
+) -> Result<Content<'a>, (&'static str, Cow<'static, str>)> {
+    let refused = |status, why: &'static str| Err((status, Cow::from(why)));
     let request = match request {
         Ok(request) => request,
         Err(BadRequest::Malformed) => {
-            return refuse(write, BAD_REQUEST, "This is no request of HTTP.").await;
+            return refused(BAD_REQUEST, "This is no request of HTTP.");
         }
         Err(BadRequest::TooLong) => {
-            return refuse(write, TOO_LONG, "The head of the request is too long.").await;
+            return refused(TOO_LONG, "The head of the request is too long.");
         }
     };
-    let with_body = match request.method.as_str() {
-        "GET" => true,
-        "HEAD" => false,
-        _ => {
-            let why = "The page only shows. Commands go through the control socket.";
-            return refuse(write, METHOD_NOT_ALLOWED, why).await;
-        }
-    };
+    if !matches!(request.method.as_str(), "GET" | "HEAD") {
+        let why = "The page only shows. Commands go through the control socket.";
+        return refused(METHOD_NOT_ALLOWED, why);
+    }
     if shared.token.is_none() && !request.names_no_other_host() {
         let why = "Ask for the page by the address of the computer, or as localhost.";
-        return refuse(write, FORBIDDEN, why).await;
+        return refused(FORBIDDEN, why);
     }
-    if let Some((_, kind, text)) = ASSETS.into_iter().find(|(path, ..)| *path == request.path) {
-        return send(write, OK, kind, text.as_bytes(), with_body).await;
+    let path = request.path.as_str();
+    if let Some((_, kind, text)) = ASSETS.into_iter().find(|(asset, ..)| *asset == path) {
+        return Ok(Content::Text(kind, text.into()));
     }
-    if !matches!(
-        request.path.as_str(),
-        "/setup.json" | "/history.json" | "/events"
-    ) {
-        return refuse(write, NOT_FOUND, "There is nothing at this path.").await;
+    if !matches!(path, "/setup.json" | "/history.json" | "/events") {
+        return refused(NOT_FOUND, "There is nothing at this path.");
     }
     if let Some(expected) = &shared.token
         && !request.token.is_some_and(|token| expected.is(&token))
     {
         let why =
             "The address of the page must end with ?token= and the token from page.token_file.";
-        return refuse(write, FORBIDDEN, why).await;
+        return refused(FORBIDDEN, why);
     }
-    if request.path == "/setup.json" {
-        return match shared.setup.get().await {
-            Ok(setup) => send(write, OK, JSON, setup.as_bytes(), with_body).await,
-            Err(why) => refuse(write, BUSY, &format!("No daemon: {why}")).await,
-        };
+    match path {
+        "/setup.json" => match shared.setup.get().await {
+            Ok(setup) => Ok(Content::Text(JSON, setup.to_string().into())),
+            Err(why) => Err((BUSY, format!("No daemon: {why}").into())),
+        },
+        "/history.json" => {
+            let history = json!(*shared.feed.history.borrow()).to_string();
+            Ok(Content::Text(JSON, history.into()))
+        }
+        _ => match shared.places.try_acquire() {
+            Ok(viewer) => Ok(Content::Events(viewer)),
+            Err(_) => refused(BUSY, "Too many viewers watch; close one."),
+        },
     }
-    if request.path == "/history.json" {
-        let history = json!(*shared.feed.history()).to_string();
-        return send(write, OK, JSON, history.as_bytes(), with_body).await;
-    }
-    let Ok(viewer) = shared.places.try_acquire() else {
-        let why = "Too many viewers watch; close one.";
-        return refuse(write, BUSY, why).await;
-    };
-    write_all(write, head(OK, EVENTS, None).as_bytes()).await?;
-    Ok(with_body.then_some(viewer))
 }
 
 /// Sends the newest events for as long as the viewer stays.
@@ -205,40 +212,10 @@ fn newest(events: &mut watch::Receiver<Arc<str>>) -> Arc<str> {
     Arc::clone(&events.borrow_and_update())
 }
 
-async fn refuse<'a>(
-    write: &mut OwnedWriteHalf,
-    status: &str,
-    why: &str,
-) -> io::Result<Option<Viewer<'a>>> {
-    send(write, status, TEXT, format!("{why}\n").as_bytes(), true).await
-}
-
-/// Sends a whole answer: nobody watches.
-async fn send<'a>(
-    write: &mut OwnedWriteHalf,
-    status: &str,
-    content_type: &str,
-    body: &[u8],
-    with_body: bool,
-) -> io::Result<Option<Viewer<'a>>> {
-    write_all(
-        write,
-        head(status, content_type, Some(body.len())).as_bytes(),
-    )
-    .await?;
-    if with_body {
-        write_all(write, body).await?;
-    }
-    Ok(None)
-}
-
 fn head(status: &str, content_type: &str, length: Option<usize>) -> String {
-    let mut head = format!("HTTP/1.1 {status}\r\nContent-Type: {content_type}\r\n");
-    if let Some(length) = length {
-        // Writing to a text does not fail.
-        let _ = write!(head, "Content-Length: {length}\r\n");
-    }
-    head + HEADERS + "\r\n"
+    let length = length.map(|length| format!("Content-Length: {length}\r\n"));
+    let length = length.unwrap_or_default();
+    format!("HTTP/1.1 {status}\r\nContent-Type: {content_type}\r\n{length}{HEADERS}\r\n")
 }
 
 async fn write_all(write: &mut OwnedWriteHalf, bytes: &[u8]) -> io::Result<()> {

@@ -3,24 +3,18 @@
 use std::{
     io,
     net::{SocketAddr, TcpListener as StdListener},
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::Arc,
     time::Duration,
 };
 
 use singletrack_api::access::{Token, TokenFile, WaitingRoom};
 use singletrack_core::config::PageSection;
-use tokio::{
-    net::TcpListener,
-    runtime::{self, Runtime},
-    sync::{Notify, Semaphore},
-    task::yield_now,
-};
+use tokio::{net::TcpListener, runtime, sync::Semaphore, task::yield_now};
 
 use super::{
-    feed::{Feed, OtherCar},
+    feed::{Feed, OtherCar, Setup},
     respond::{Shared, serve},
-    setup::Setup,
 };
 use crate::daemon::{Follower, ServerThread};
 
@@ -103,7 +97,19 @@ impl Page {
                 .build()?;
             let shared = Arc::clone(&shared);
             let server = ServerThread::start("page", move |stop| {
-                run(runtime, listener, &socket, &shared, stop);
+                runtime.block_on(async {
+                    tokio::select! {
+                        result = accept(listener, &shared) => {
+                            if let Err(error) = result {
+                                tracing::error!(%error, "can't serve the page");
+                            }
+                        }
+                        () = shared.setup.run(&socket) => {}
+                        () = stop.notified() => {}
+                    }
+                });
+                // Viewers are disconnected. A daemon that does not answer is not waited for.
+                runtime.shutdown_background();
             })?;
             Ok((server, followers))
         };
@@ -116,28 +122,6 @@ impl Page {
             _token_file: token_file,
         })
     }
-}
-
-fn run(
-    runtime: Runtime,
-    listener: StdListener,
-    socket: &Path,
-    shared: &Arc<Shared>,
-    stop: &Notify,
-) {
-    runtime.block_on(async {
-        tokio::select! {
-            result = accept(listener, shared) => {
-                if let Err(error) = result {
-                    tracing::error!(%error, "can't serve the page");
-                }
-            }
-            () = shared.setup.run(socket) => {}
-            () = stop.notified() => {}
-        }
-    });
-    // Viewers are disconnected. A daemon that does not answer is not waited for.
-    runtime.shutdown_background();
 }
 
 /// Accepts browsers for as long as it is polled.

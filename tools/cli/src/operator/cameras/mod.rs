@@ -3,7 +3,6 @@
 mod survey;
 
 use std::{
-    fmt::Write as _,
     net::{Ipv4Addr, SocketAddr},
     path::PathBuf,
     process::ExitCode,
@@ -299,21 +298,19 @@ impl Watched {
             format!("what is at {address} says nothing or something else: another kind, or port?"),
         );
         for event in events {
-            if let SessionEvent::Refused(version) = event {
-                note(true, version.to_string());
-            }
-            if let SessionEvent::DefinitionsUnreadable(error) = event {
-                note(
-                    true,
-                    format!("a part of its list of bodies can't be read: {error}"),
-                );
-            }
-            if let SessionEvent::OtherSource(other) = event {
-                note(
-                    true,
-                    format!("packets come from {other}: a second network card?"),
-                );
-            }
+            note(
+                true,
+                match event {
+                    SessionEvent::Refused(version) => version.to_string(),
+                    SessionEvent::DefinitionsUnreadable(error) => {
+                        format!("a part of its list of bodies can't be read: {error}")
+                    }
+                    SessionEvent::OtherSource(other) => {
+                        format!("packets come from {other}: a second network card?")
+                    }
+                    _ => continue,
+                },
+            );
         }
         let frames = self.survey.frames;
         note(
@@ -389,67 +386,47 @@ impl Watched {
 
 impl Report {
     fn write(&self, text: &mut String) {
-        // Writing to a string does not fail.
-        let _ = writeln!(
-            text,
-            "{} server {}: {} {}, {} lost, {} late, {} damaged",
-            self.kind,
-            self.server,
-            self.frames,
-            // VRPN knows no frames.
-            if self.kind == "vrpn" {
-                "poses"
-            } else {
-                "frames"
-            },
-            self.lost,
-            self.late,
-            self.malformed
+        let (kind, server, up_axis) = (self.kind, &self.server, self.up_axis);
+        let (frames, lost, late, damaged) = (self.frames, self.lost, self.late, self.malformed);
+        // VRPN knows no frames.
+        let unit = if kind == "vrpn" { "poses" } else { "frames" };
+        *text += &format!(
+            "{kind} server {server}: {frames} {unit}, {lost} lost, {late} late, {damaged} damaged\n"
         );
         if let Some(times) = &self.times {
-            let _ = writeln!(
-                text,
-                "latency {:.1} ms, known to {:.1} ms ({})",
+            *text += &format!(
+                "latency {:.1} ms, known to {:.1} ms ({})\n",
                 times.latency_ms, times.uncertainty_ms, times.source
             );
         }
         for note in &self.notes {
-            let _ = writeln!(text, "{}", printable(note));
+            *text += &format!("{}\n", printable(note));
         }
         if self.bodies.is_empty() {
             return;
         }
-        let _ = writeln!(
-            text,
-            "read with {} up (--up-axis); a car on the floor is at z = 0 to 0.3 m",
-            self.up_axis
-        );
-        let _ = writeln!(
-            text,
-            "\n{:<16} {:>6} {:>6} {:>6} {:>6} {:>9}  {:>23} {:>7}",
-            "body", "id", "Hz", "seen", "jitter", "spread", "x, y, z (m)", "yaw"
+        *text += &format!(
+            "read with {up_axis} up (--up-axis); a car on the floor is at z = 0 to 0.3 m\n\n\
+             body                 id     Hz   seen jitter    spread              x, y, z (m)     yaw\n"
         );
         for body in &self.bodies {
-            let name = body.name.as_deref().unwrap_or("(no name)");
-            let position = body.position_m.map_or_else(
-                || "-".to_owned(),
-                |[x, y, z]| format!("{x:7.3} {y:7.3} {z:7.3}"),
-            );
-            let yaw = body
-                .yaw_deg
-                .map_or_else(|| "-".to_owned(), |yaw| format!("{yaw:.1}"));
-            let _ = writeln!(
-                text,
-                "{:<16} {:>6} {:>6.1} {:>4.0} % {:>3.1} ms {:>6.2} mm  {position:>23} {yaw:>7}",
-                printable(name),
+            let position = body
+                .position_m
+                .map(|[x, y, z]| format!("{x:7.3} {y:7.3} {z:7.3}"));
+            let position = position.unwrap_or_else(|| "-".to_owned());
+            let yaw = body.yaw_deg.map(|yaw| format!("{yaw:.1}"));
+            *text += &format!(
+                "{:<16} {:>6} {:>6.1} {:>4.0} % {:>3.1} ms {:>6.2} mm  {position:>23} {:>7}\n",
+                printable(body.name.as_deref().unwrap_or("(no name)")),
                 body.id,
                 body.rate_hz,
                 100.0 * body.seen,
                 body.jitter_ms,
                 body.spread_mm,
+                yaw.as_deref().unwrap_or("-"),
             );
             for remark in &body.remarks {
-                let _ = writeln!(text, "  {remark}");
+                *text += &format!("  {remark}\n");
             }
         }
     }

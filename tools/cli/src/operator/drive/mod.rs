@@ -31,7 +31,7 @@ use crate::operator::{
 };
 use crate::{Result, arguments::duration_within, interrupt::Interrupt};
 use device::Source;
-use pad::{Driver, Pad, PadEvent, PadNote, PadRequest};
+use pad::{Driver, Pad, PadEvent, PadRequest};
 
 /// The pad and its bounds.
 #[derive(Clone, Debug, Args)]
@@ -269,12 +269,7 @@ impl DriveSession<'_> {
                 self.stage = self.stage.stopped();
                 print(EMERGENCY_STOPPED)?;
             }
-            PadRequest::Note(note) => print(match note {
-                PadNote::ReleaseFirst => "release both shoulder buttons first",
-                PadNote::OneButton => "hold one shoulder button, not both",
-                PadNote::CentreSticks => "let the sticks go to their centre first",
-                PadNote::Silent => "the pad was silent for too long",
-            })?,
+            PadRequest::Note(note) => print(note)?,
         }
         Ok(())
     }

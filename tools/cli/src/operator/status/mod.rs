@@ -1,6 +1,7 @@
 //! `singletrack status`: what the daemon does now, for a person or for programs.
 
-mod summary;
+#[cfg(test)]
+mod tests;
 
 use std::{
     io::{self, Write as _},
@@ -10,14 +11,17 @@ use std::{
 
 use clap::Args;
 use serde_json::Value;
-use singletrack_api::{Answer, ClientError, Connection, Reply, Request, ask, ask_as};
-use summary::Summary;
+use singletrack_api::{
+    Answer, ClientError, Connection, Reply, Request, State, Status, ask, ask_as,
+};
+use singletrack_core::reasons::Why;
 
 use crate::{
     Result,
+    help::wrap,
     interrupt::Interrupt,
     operator::{
-        control::{ControlArgs, print},
+        control::{ControlArgs, in_words, print},
         terminal::Screen,
     },
 };
@@ -56,7 +60,7 @@ pub fn run(args: &StatusArgs) -> Result<()> {
         return print(&serde_json::to_string_pretty(&status.unwrap_or(answer))?);
     }
     let status = ask(&Request::Status {}, socket)?.status;
-    print(&status.map_or_else(|| UNKNOWN.to_owned(), |status| Summary::of(status).line()))
+    print(&status.map_or_else(|| UNKNOWN.to_owned(), |status| Summary(status).line()))
 }
 
 /// The line for an answer that has no status.
@@ -89,7 +93,7 @@ impl Feed {
         Ok(Self {
             states: Connection::watch_states(socket, PATIENCE)?,
             questions: Connection::open(socket, PATIENCE)?,
-            summary: status.map(Summary::of).ok_or_else(missing)?,
+            summary: status.map(Summary).ok_or_else(missing)?,
             asked: Instant::now(),
             is_answered: true,
             heard: Instant::now(),
@@ -112,7 +116,7 @@ impl Feed {
         match self.states.receive_within(WAIT)? {
             Some(Reply::State(state)) => {
                 self.heard = Instant::now();
-                self.summary.take_state(*state);
+                self.summary.0.state = Some(*state);
             }
             // The stream begins.
             Some(Reply::Answer(answer)) => drop(answer.agreed()?),
@@ -179,5 +183,221 @@ fn watch(socket: &Path) -> Result<()> {
             print(&feed.summary.line())
         }
         None => Ok(()),
+    }
+}
+
+/// Columns of the names in the view.
+const NAMES: usize = 10;
+/// Columns of the first value beside a name.
+const VALUES: usize = 18;
+
+/// The last answer to `status`, with the newest state, in words.
+struct Summary(Status);
+
+impl Summary {
+    /// Takes an answer to `status`, except its state: that of the stream is newer.
+    fn take_status(&mut self, status: Status) {
+        self.0 = Status {
+            state: self.0.state.take().or(status.state),
+            ..status
+        };
+    }
+
+    /// The status as one line.
+    fn line(&self) -> String {
+        let why = Why::of(&self.0);
+        let mut line = self.0.mode().to_owned();
+        if let Some(time_s) = self.value(|state| state.drive_time_s) {
+            line += &format!(" {time_s:.1} s");
+        }
+        if let Some(why) = &why {
+            line += &format!(": {}", why.text);
+        }
+        if let Some(trouble) = self.0.record_trouble() {
+            line += &format!("; {trouble}");
+        }
+        line += &format!(
+            "; pose {}, battery {}, link {}, speed {}",
+            age(self.value(|state| state.pose_age_s)),
+            self.battery(),
+            self.link(),
+            self.speed(),
+        );
+        for (name, text) in [
+            ("tuned", self.tuned()),
+            ("calibration", self.calibration()),
+            ("learned", self.learned()),
+        ] {
+            if let Some(text) = text {
+                line += &format!("; {name}: {text}");
+            }
+        }
+        if let Some(advice) = why.and_then(|why| why.advice) {
+            line += &format!(". To do: {advice}");
+        }
+        line
+    }
+
+    /// The status as lines no wider than `columns`.
+    fn lines(&self, columns: usize) -> Vec<String> {
+        let why = Why::of(&self.0);
+        let status = &self.0;
+        let mut lines = Lines {
+            columns,
+            lines: Vec::new(),
+        };
+        let time = self.value(|state| state.drive_time_s);
+        let time = time.map(|time_s| format!("{time_s:.1} s"));
+        lines.field("mode", status.mode(), &time.unwrap_or_default());
+        // Above all else: what is below the window is not seen.
+        if let Some(why) = why {
+            lines.paragraph("why", &why.text);
+            lines.paragraph("to do", why.advice.as_deref().unwrap_or("-"));
+        }
+        if let Some(trouble) = status.record_trouble() {
+            lines.paragraph("record", &trouble);
+        }
+        let pose = age(self.value(|state| state.pose_age_s));
+        lines.field("pose", &pose, &self.place());
+        let commanded = metres_per_second(self.value(|state| Some(state.commanded_speed_m_s)));
+        lines.field("speed", &self.speed(), &format!("commanded {commanded}"));
+        let steering = self.value(|state| Some(state.steering_rad.to_degrees()));
+        lines.field("steering", &with_unit(steering, 1, "degrees"), "");
+        lines.field("P", &self.error(), "");
+        let telemetry = format!("telemetry {}", age(self.value(|state| state.board_age_s)));
+        lines.field("link", self.link(), &telemetry);
+        lines.field("battery", &self.battery(), "");
+        for (name, text) in [
+            ("tuned", self.tuned()),
+            ("advice", self.calibration()),
+            ("learned", self.learned()),
+        ] {
+            if let Some(text) = text {
+                lines.paragraph(name, &text);
+            }
+        }
+        lines.lines
+    }
+
+    /// Tuned values that differ from the configuration, and those of the configuration.
+    fn tuned(&self) -> Option<String> {
+        let tunable = self.0.tuning.as_ref().filter(|it| it.differs)?;
+        let tuning = self.0.state.as_ref()?.tuning()?;
+        let [tuned, was] = [&tuning, &tunable.configured].map(in_words);
+        Some(format!("{tuned} (configured: {was})"))
+    }
+
+    /// What the drives say of the calibration.
+    fn calibration(&self) -> Option<String> {
+        self.0.calibration.as_ref()?.line()
+    }
+
+    /// What live calibration corrects, such as "steering gain -12.5 %"; only what is not nothing.
+    fn learned(&self) -> Option<String> {
+        let learned = self.0.learned?;
+        let [forward, left] = learned.pivot_m;
+        let corrections = [
+            ("steering gain", 1e2 * learned.steering_gain, "%"),
+            ("trim", 1e3 * learned.steering_trim_rad, "mrad"),
+            ("stamps", 1e3 * learned.stamp_offset_s, "ms"),
+            ("body yaw", 1e3 * learned.body_yaw_rad, "mrad"),
+            ("pivot forward", 1e3 * forward, "mm"),
+            ("pivot left", 1e3 * left, "mm"),
+        ];
+        let shown: Vec<String> = corrections
+            .into_iter()
+            .filter(|(_, value, ..)| *value != 0.0)
+            .map(|(name, value, unit)| format!("{name} {value:+.1} {unit}"))
+            .collect();
+        Some(match shown.as_slice() {
+            [] => "nothing yet".to_owned(),
+            shown => shown.join(", "),
+        })
+    }
+
+    /// A value of the newest state.
+    fn value<T>(&self, of: impl FnOnce(&State) -> Option<T>) -> Option<T> {
+        self.0.state.as_ref().and_then(of)
+    }
+
+    fn speed(&self) -> String {
+        metres_per_second(self.value(|state| state.speed_m_s))
+    }
+
+    fn link(&self) -> &str {
+        let state = self.0.state.as_ref();
+        state.map_or("unknown", |state| &state.link)
+    }
+
+    fn battery(&self) -> String {
+        let board = self.0.board.as_ref();
+        let battery_mv = board.and_then(|board| board.battery_mv);
+        with_unit(battery_mv.map(|mv| f64::from(mv) / 1_000.0), 2, "V")
+    }
+
+    fn place(&self) -> String {
+        let place = |state: &State| Some((state.x_m?, state.y_m?, state.yaw_rad?));
+        let Some((x_m, y_m, yaw_rad)) = self.value(place) else {
+            return String::new();
+        };
+        let yaw = with_unit(Some(yaw_rad.to_degrees()), 0, "degrees");
+        format!("at ({x_m:.2}, {y_m:.2}) m, yaw {yaw}")
+    }
+
+    /// How far P is from its reference.
+    fn error(&self) -> String {
+        let both = |state: &State| state.point_m.zip(state.reference_m);
+        let Some(([x_m, y_m], [reference_x_m, reference_y_m])) = self.value(both) else {
+            return "-".to_owned();
+        };
+        let error_m = libm::hypot(x_m - reference_x_m, y_m - reference_y_m);
+        format!("{:.0} mm from its reference", error_m * 1_000.0)
+    }
+}
+
+/// Lines that begin with a name.
+struct Lines {
+    /// How wide a paragraph may be.
+    columns: usize,
+    lines: Vec<String>,
+}
+
+impl Lines {
+    fn field(&mut self, name: &str, first: &str, second: &str) {
+        let text = format!("{name:<NAMES$}{first:<VALUES$}{second}");
+        self.lines.push(text.trim_end().to_owned());
+    }
+
+    fn paragraph(&mut self, name: &str, text: &str) {
+        for (index, part) in wrap(text, self.columns.saturating_sub(NAMES)).enumerate() {
+            let name = if index == 0 { name } else { "" };
+            self.lines.push(format!("{name:<NAMES$}{part}"));
+        }
+    }
+}
+
+fn with_unit(value: Option<f64>, digits: usize, unit: &str) -> String {
+    value.map_or_else(
+        || "unknown".to_owned(),
+        |value| {
+            let text = format!("{value:.digits$}");
+            // Noise around zero is not reverse.
+            let is_zero = !text.contains(|digit| matches!(digit, '1'..='9'));
+            let text = text.strip_prefix('-').filter(|_| is_zero).unwrap_or(&text);
+            format!("{text} {unit}")
+        },
+    )
+}
+
+fn metres_per_second(speed_m_s: Option<f64>) -> String {
+    with_unit(speed_m_s, 2, "m/s")
+}
+
+/// An age; none of what has never come.
+fn age(age_s: Option<f64>) -> String {
+    match age_s {
+        None => "none".to_owned(),
+        Some(age_s) if age_s < 1.0 => format!("{:.0} ms old", age_s * 1_000.0),
+        Some(age_s) => format!("{age_s:.1} s old"),
     }
 }

@@ -78,21 +78,17 @@ pub enum PadRequest {
     /// The stop button: neutral until the board is reset.
     Stop,
     /// A note for the operator; the car is not affected.
-    Note(PadNote),
+    Note(&'static str),
 }
 
-/// Why a button has no effect.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PadNote {
-    /// The button was pressed from the beginning, or since the last drive.
-    ReleaseFirst,
-    /// Both buttons are pressed.
-    OneButton,
-    /// The sticks are not at their centre.
-    CentreSticks,
-    /// The pad was silent for too long.
-    Silent,
-}
+/// Why a button has no effect: it was pressed from the beginning, or since the last drive.
+pub const RELEASE_FIRST: &str = "release both shoulder buttons first";
+/// Both buttons are pressed.
+pub const ONE_BUTTON: &str = "hold one shoulder button, not both";
+/// The sticks are not at their centre.
+pub const CENTRE_STICKS: &str = "let the sticks go to their centre first";
+/// The pad was silent.
+pub const SILENT: &str = "the pad was silent for too long";
 
 /// Dead zone of a stick, as a share of its way.
 const CENTRE: f64 = 0.15;
@@ -148,7 +144,7 @@ pub struct Pad {
     /// Whether the pad is gone.
     pub is_lost: bool,
     /// The last note, so that each is given once.
-    note: Option<PadNote>,
+    note: Option<&'static str>,
     /// The pad was silent, which is still to be said.
     was_silent: bool,
 }
@@ -253,23 +249,23 @@ impl Pad {
 
     fn begin(&mut self, now: Time) -> Option<PadRequest> {
         if std::mem::take(&mut self.was_silent) {
-            self.note = Some(PadNote::Silent);
-            return Some(PadRequest::Note(PadNote::Silent));
+            self.note = Some(SILENT);
+            return Some(PadRequest::Note(SILENT));
         }
         let driver = match (self.drive.pressed, self.sticks.pressed) {
             (false, false) => {
                 self.note = None;
                 return None;
             }
-            (true, true) => return self.noted(PadNote::OneButton),
+            (true, true) => return self.noted(ONE_BUTTON),
             (true, false) if self.drive.counts() => Driver::Pilot,
             (false, true) if self.sticks.counts() => {
                 if !(is_centred(self.speed) && is_centred(self.turn)) {
-                    return self.noted(PadNote::CentreSticks);
+                    return self.noted(CENTRE_STICKS);
                 }
                 Driver::Sticks
             }
-            _ => return self.noted(PadNote::ReleaseFirst),
+            _ => return self.noted(RELEASE_FIRST),
         };
         self.note = None;
         self.held = Some(Held {
@@ -281,8 +277,8 @@ impl Pad {
     }
 
     /// Each note once, until the buttons are released.
-    fn noted(&mut self, note: PadNote) -> Option<PadRequest> {
-        if self.note == Some(note) || self.note == Some(PadNote::Silent) {
+    fn noted(&mut self, note: &'static str) -> Option<PadRequest> {
+        if self.note == Some(note) || self.note == Some(SILENT) {
             return None;
         }
         self.note = Some(note);

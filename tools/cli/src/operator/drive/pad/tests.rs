@@ -60,10 +60,7 @@ fn a_button_that_is_pressed_from_the_beginning_must_be_released_once() {
         for event in [axis(ABS_Y, 0.0), axis(ABS_RX, 0.0), button(code, true)] {
             pad.handle(at(0), event);
         }
-        assert_eq!(
-            polled(&mut pad, at(10)),
-            [PadRequest::Note(PadNote::ReleaseFirst)]
-        );
+        assert_eq!(polled(&mut pad, at(10)), [PadRequest::Note(RELEASE_FIRST)]);
         // Said once.
         assert_eq!(polled(&mut pad, at(10_000)), []);
         pad.handle(at(20), button(code, false));
@@ -82,10 +79,7 @@ fn after_a_drive_that_ended_by_itself_the_button_must_be_released() {
     pad.handle(at(10), button(BTN_TR, true));
     polled(&mut pad, at(10));
     pad.ended();
-    assert_eq!(
-        polled(&mut pad, at(20)),
-        [PadRequest::Note(PadNote::ReleaseFirst)]
-    );
+    assert_eq!(polled(&mut pad, at(20)), [PadRequest::Note(RELEASE_FIRST)]);
     pad.handle(at(30), button(BTN_TR, false));
     pad.handle(at(40), button(BTN_TR, true));
     assert_eq!(polled(&mut pad, at(40)), [PadRequest::Begin(Driver::Pilot)]);
@@ -115,7 +109,7 @@ fn a_silent_pad_halts_the_car_and_any_event_keeps_it_going() {
     assert_eq!(polled(&mut pad, at(9_900)), [PadRequest::Hold]);
     assert_eq!(
         polled(&mut pad, at(9_901)),
-        [PadRequest::Halt, PadRequest::Note(PadNote::Silent)]
+        [PadRequest::Halt, PadRequest::Note(SILENT)]
     );
     assert_eq!(pad.driver(), None);
     // The button is still pressed, and was not released.
@@ -134,10 +128,7 @@ fn lost_events_halt_the_car_and_every_button_must_be_seen_released() {
         Some(PadRequest::Halt)
     );
     pad.handle(at(20), button(BTN_TR, true));
-    assert_eq!(
-        polled(&mut pad, at(20)),
-        [PadRequest::Note(PadNote::ReleaseFirst)]
-    );
+    assert_eq!(polled(&mut pad, at(20)), [PadRequest::Note(RELEASE_FIRST)]);
 }
 
 #[test]
@@ -145,10 +136,7 @@ fn sticks_steer_from_their_centre_within_their_bounds() {
     let mut pad = ready();
     pad.handle(at(0), axis(ABS_Y, -0.5));
     pad.handle(at(10), button(BTN_TL, true));
-    assert_eq!(
-        polled(&mut pad, at(10)),
-        [PadRequest::Note(PadNote::CentreSticks)]
-    );
+    assert_eq!(polled(&mut pad, at(10)), [PadRequest::Note(CENTRE_STICKS)]);
     pad.handle(at(20), axis(ABS_Y, -0.1));
     assert_eq!(
         polled(&mut pad, at(20)),
@@ -225,7 +213,7 @@ fn a_recorded_session_begins_two_drives_and_ends_with_the_loss_of_the_pad() {
         asked,
         [
             // It was pressed from the beginning.
-            PadRequest::Note(PadNote::ReleaseFirst),
+            PadRequest::Note(RELEASE_FIRST),
             PadRequest::Begin(Driver::Pilot),
             PadRequest::End,
             PadRequest::Begin(Driver::Sticks),
@@ -241,10 +229,7 @@ fn both_buttons_start_nothing_and_end_a_drive() {
     let mut pad = ready();
     pad.handle(at(0), button(BTN_TL, true));
     pad.handle(at(0), button(BTN_TR, true));
-    assert_eq!(
-        polled(&mut pad, at(0)),
-        [PadRequest::Note(PadNote::OneButton)]
-    );
+    assert_eq!(polled(&mut pad, at(0)), [PadRequest::Note(ONE_BUTTON)]);
     let mut pad = ready();
     pad.handle(at(0), button(BTN_TL, true));
     polled(&mut pad, at(0));
@@ -254,10 +239,7 @@ fn both_buttons_start_nothing_and_end_a_drive() {
     );
     pad.handle(at(20), button(BTN_TL, false));
     // The other one was not released since.
-    assert_eq!(
-        polled(&mut pad, at(20)),
-        [PadRequest::Note(PadNote::ReleaseFirst)]
-    );
+    assert_eq!(polled(&mut pad, at(20)), [PadRequest::Note(RELEASE_FIRST)]);
 }
 
 #[test]
