@@ -205,7 +205,7 @@ fn dumps(criterion: &mut Criterion) {
         let args = Cli::parse_from(arguments).dump;
         group.throughput(Throughput::Elements(records));
         group.bench_function(name, |bencher| {
-            bencher.iter(|| dump(&args, format, io::sink()).unwrap());
+            bencher.iter(|| dump(&args, format, false, io::sink()).unwrap());
         });
     }
     group.finish();

@@ -13,7 +13,7 @@ use std::{
 
 use tokio::{
     runtime,
-    signal::unix::{Signal, SignalKind, signal},
+    signal::unix::{SignalKind, signal},
 };
 
 /// Whether Ctrl-C was pressed.
@@ -30,20 +30,30 @@ impl Interrupt {
     /// Listens for SIGINT, SIGTERM and SIGHUP; a second one ends the process at once.
     pub(crate) fn listen() -> io::Result<Self> {
         let runtime = runtime::Builder::new_current_thread().enable_io().build()?;
-        let signals = {
+        let listened = |kind| {
             let _entered = runtime.enter();
-            [
-                signal(SignalKind::interrupt())?,
-                signal(SignalKind::terminate())?,
-                signal(SignalKind::hangup())?,
-            ]
+            signal(kind)
         };
-        let interrupt = Self::default();
-        let asked = interrupt.clone();
-        thread::Builder::new()
-            .name("interrupt".to_owned())
-            .spawn(move || runtime.block_on(asked.watch(signals)))?;
-        Ok(interrupt)
+        let mut interrupt = listened(SignalKind::interrupt())?;
+        let mut terminate = listened(SignalKind::terminate())?;
+        let mut hangup = listened(SignalKind::hangup())?;
+        let raised = Self::default();
+        let asked = Arc::clone(&raised.0);
+        let watch = async move {
+            loop {
+                tokio::select! {
+                    _ = interrupt.recv() => {}
+                    _ = terminate.recv() => {}
+                    _ = hangup.recv() => {}
+                }
+                if asked.swap(true, Ordering::Relaxed) {
+                    std::process::exit(EXIT_CODE);
+                }
+            }
+        };
+        let thread = thread::Builder::new().name("interrupt".to_owned());
+        thread.spawn(move || runtime.block_on(watch))?;
+        Ok(raised)
     }
 
     /// Whether a signal has come.
@@ -55,19 +65,6 @@ impl Interrupt {
     pub(crate) fn wait(&self) {
         while !self.is_raised() {
             thread::sleep(POLL);
-        }
-    }
-
-    async fn watch(self, [mut interrupt, mut terminate, mut hangup]: [Signal; 3]) {
-        loop {
-            tokio::select! {
-                _ = interrupt.recv() => {}
-                _ = terminate.recv() => {}
-                _ = hangup.recv() => {}
-            }
-            if self.0.swap(true, Ordering::Relaxed) {
-                std::process::exit(EXIT_CODE);
-            }
         }
     }
 }

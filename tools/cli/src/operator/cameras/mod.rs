@@ -17,7 +17,7 @@ use singletrack_core::{
     config::{Config, MotionCaptureSection, ServerKind, TransportKind, UpAxis},
 };
 use singletrack_figures::output;
-use singletrack_mocap::{Input, Phase, SessionEvent, Source};
+use singletrack_mocap::{Input, Phase, SessionEvent as Event, Source};
 use singletrackd::{MocapSockets, monotonic_ns};
 
 use crate::{Result, arguments::parse_duration, help::printable, progress::progress_bar};
@@ -273,101 +273,82 @@ impl Watched {
 
     fn report(&self, seconds: f64) -> Report {
         let address = SocketAddr::new(self.section.server.into(), self.section.port());
-        let counters = self.source.counters();
-        let events = &self.survey.events;
-        let said = |event: SessionEvent| events.contains(&event);
-        let is_foreign = said(SessionEvent::Foreign);
+        let (counters, events) = (self.source.counters(), &self.survey.events);
+        let (frames, bodies) = (self.survey.frames, self.survey.bodies(seconds));
+        let times = self.survey.times();
+        let said = |event: Event| events.contains(&event);
+        let is_foreign = said(Event::Foreign);
         let answers = events.iter().any(|event| {
             matches!(
                 event,
-                SessionEvent::Connected(_) | SessionEvent::Opened | SessionEvent::Refused(_)
+                Event::Connected(_) | Event::Opened | Event::Refused(_)
             )
         });
         let mut notes = Vec::new();
-        let mut note = |is_so: bool, text: String| {
-            if is_so {
-                notes.push(text);
-            }
-        };
-        note(
-            !answers && !is_foreign,
-            format!("nothing answers at {address}: address, program, streaming, firewall?"),
-        );
-        note(
-            is_foreign,
-            format!("what is at {address} says nothing or something else: another kind, or port?"),
-        );
-        for event in events {
-            note(
-                true,
-                match event {
-                    SessionEvent::Refused(version) => version.to_string(),
-                    SessionEvent::DefinitionsUnreadable(error) => {
-                        format!("a part of its list of bodies can't be read: {error}")
-                    }
-                    SessionEvent::OtherSource(other) => {
-                        format!("packets come from {other}: a second network card?")
-                    }
-                    _ => continue,
-                },
-            );
+        let mut note = |text: &str| notes.push(text.to_owned());
+        if is_foreign {
+            note(&format!(
+                "what is at {address} says nothing or something else: another kind, or port?"
+            ));
+        } else if !answers {
+            note(&format!(
+                "nothing answers at {address}: address, program, streaming, firewall?"
+            ));
         }
-        let frames = self.survey.frames;
-        note(
-            answers && frames == 0,
-            "it answers and sends no frames: is it measuring, and streaming?".to_owned(),
-        );
+        for event in events {
+            note(&match event {
+                Event::Refused(version) => version.to_string(),
+                Event::DefinitionsUnreadable(error) => {
+                    format!("a part of its list of bodies can't be read: {error}")
+                }
+                Event::OtherSource(other) => {
+                    format!("packets come from {other}: a second network card?")
+                }
+                _ => continue,
+            });
+        }
+        if answers && frames == 0 {
+            note("it answers and sends no frames: is it measuring, and streaming?");
+        }
         let old = counters.duplicates + counters.late;
-        note(
-            old > frames,
-            format!(
+        if old > frames {
+            note(&format!(
                 "{old} frames were no newer than the one before: the server must stamp each with the \
                  time of its exposure"
-            ),
-        );
-        let rate_hz = self
-            .survey
-            .bodies(seconds)
-            .iter()
-            .map(|body| body.rate_hz)
-            .fold(0.0, f64::max);
-        note(
-            answers && frames > 0 && rate_hz < LEAST_HZ,
-            format!(
+            ));
+        }
+        let rate_hz = bodies.iter().map(|body| body.rate_hz).fold(0.0, f64::max);
+        if answers && frames > 0 && rate_hz < LEAST_HZ {
+            note(&format!(
                 "{rate_hz:.0} poses a second are too few to drive by: at least {LEAST_HZ:.0}, best 100"
-            ),
-        );
-        let times = self.survey.times();
+            ));
+        }
         let latency_ms = times.as_ref().map_or(0.0, |times| times.latency_ms);
-        note(
-            latency_ms >= 1_000.0,
-            "the stamps are not by the clock with which the server answers: VRPN stamps in UTC, not in \
-             local time"
-                .to_owned(),
-        );
-        note(
-            frames > 0 && times.is_none(),
-            "the stamps are after the arrival of the frames, or long before the server's clock"
-                .to_owned(),
-        );
-        note(
-            (MOST_LATENCY_MS..1_000.0).contains(&latency_ms),
-            format!(
+        if latency_ms >= 1_000.0 {
+            note(
+                "the stamps are not by the clock with which the server answers: VRPN stamps in UTC, \
+                 not in local time",
+            );
+        }
+        if frames > 0 && times.is_none() {
+            note(
+                "the stamps are after the arrival of the frames, or long before the server's clock",
+            );
+        }
+        if (MOST_LATENCY_MS..1_000.0).contains(&latency_ms) {
+            note(&format!(
                 "above {MOST_LATENCY_MS:.0} ms the car is not armed at 100 Hz, at a lower rate sooner"
-            ),
-        );
-        note(
-            said(SessionEvent::DatagramsBlocked),
-            "poses come over TCP: none arrive over UDP, which a firewall closes".to_owned(),
-        );
-        note(
-            said(SessionEvent::Contradicted),
-            "two programs send with the server's address".to_owned(),
-        );
-        note(
-            counters.clock_steps > 0,
-            "the server's clock was set while it was looked at".to_owned(),
-        );
+            ));
+        }
+        if said(Event::DatagramsBlocked) {
+            note("poses come over TCP: none arrive over UDP, which a firewall closes");
+        }
+        if said(Event::Contradicted) {
+            note("two programs send with the server's address");
+        }
+        if counters.clock_steps > 0 {
+            note("the server's clock was set while it was looked at");
+        }
         Report {
             kind: self.section.kind.name(),
             server: address.to_string(),
@@ -378,7 +359,7 @@ impl Watched {
             late: counters.late,
             malformed: counters.malformed,
             times,
-            bodies: self.survey.bodies(seconds),
+            bodies,
             notes,
         }
     }

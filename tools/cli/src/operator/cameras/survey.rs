@@ -158,38 +158,34 @@ impl Survey {
 impl Seen {
     fn report(&self, seconds: f64) -> BodyReport {
         let part = |count: u64, of: u64| count as f64 / of.max(1) as f64;
-        let gaps: Vec<f64> = self
-            .arrivals_ns
-            .windows(2)
-            .map(|pair| pair[1].saturating_sub(pair[0]) as f64 * 1e-6)
-            .collect();
+        let pairs = self.arrivals_ns.windows(2);
+        let gaps = pairs.map(|pair| pair[1].saturating_sub(pair[0]) as f64 * 1e-6);
+        let gaps: Vec<f64> = gaps.collect();
         let spread_m = |axis: usize| {
             let positions_m: Vec<f64> = self.positions_m.iter().map(|at| at[axis]).collect();
             deviation(&positions_m)
         };
         let spread_mm = (0..3).map(spread_m).fold(0.0, libm::hypot) * 1e3;
         let repeated = part(self.repeated, self.tracked.saturating_sub(1));
-        let remarks = [
-            (self.name.is_none(), "no name in the server's list"),
-            (
-                self.name.is_some() && !self.is_utf8,
-                "its name is not UTF-8: a body that is followed needs another one",
-            ),
-            (
-                self.tracked == 0,
-                "never seen: a ghost of the list, or out of view",
-            ),
-            (self.doubled > 0, "its id is listed twice"),
-            (
-                self.invalid > 0,
-                "some of its poses are no numbers or no rotation",
-            ),
-            // A body that is measured never has the same bits twice.
-            (
-                self.tracked > 10 && repeated > 0.5,
-                "repeats its pose to the bit: not measured",
-            ),
-        ];
+        let mut remarks = Vec::new();
+        if self.name.is_none() {
+            remarks.push("no name in the server's list");
+        } else if !self.is_utf8 {
+            remarks.push("its name is not UTF-8: a body that is followed needs another one");
+        }
+        if self.tracked == 0 {
+            remarks.push("never seen: a ghost of the list, or out of view");
+        }
+        if self.doubled > 0 {
+            remarks.push("its id is listed twice");
+        }
+        if self.invalid > 0 {
+            remarks.push("some of its poses are no numbers or no rotation");
+        }
+        // A body that is measured never has the same bits twice.
+        if self.tracked > 10 && repeated > 0.5 {
+            remarks.push("repeats its pose to the bit: not measured");
+        }
         BodyReport {
             name: self.name.clone(),
             id: self.id,
@@ -204,10 +200,7 @@ impl Seen {
                 let (sin, cos) = (2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z));
                 libm::atan2(sin, cos).to_degrees()
             }),
-            remarks: remarks
-                .into_iter()
-                .filter_map(|(is_so, remark)| is_so.then_some(remark))
-                .collect(),
+            remarks,
         }
     }
 }

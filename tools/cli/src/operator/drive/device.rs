@@ -30,17 +30,23 @@ const AXES: usize = 0x40;
 
 /// A source of events.
 pub(super) enum Source {
-    Device {
-        device: Box<RawDevice>,
-        ranges: Box<[(i32, i32); AXES]>,
-    },
-    Pipe {
-        file: File,
-        /// The beginning of an event.
-        rest: Vec<u8>,
-        /// Whether anything has come: a pipe that had no writer yet also reads as ended.
-        is_begun: bool,
-    },
+    Device(Box<Device>),
+    Pipe(Pipe),
+}
+
+/// An event device of the kernel.
+pub(super) struct Device {
+    device: RawDevice,
+    ranges: [(i32, i32); AXES],
+}
+
+/// A pipe with the bytes of one.
+pub(super) struct Pipe {
+    file: File,
+    /// The beginning of an event.
+    rest: Vec<u8>,
+    /// Whether anything has come: a pipe that had no writer yet also reads as ended.
+    is_begun: bool,
 }
 
 impl Source {
@@ -51,43 +57,40 @@ impl Source {
                 .read(true)
                 .custom_flags(OFlags::NONBLOCK.bits() as i32)
                 .open(path)?;
-            let pipe = Self::Pipe {
+            let (rest, is_begun) = (Vec::new(), false);
+            let pipe = Pipe {
                 file,
-                rest: Vec::new(),
-                is_begun: false,
+                rest,
+                is_begun,
             };
-            return Ok((pipe, Vec::new()));
+            return Ok((Self::Pipe(pipe), Vec::new()));
         }
         let device = RawDevice::open(path)?;
         rustix::fs::fcntl_setfl(&device, OFlags::NONBLOCK)?;
-        let mut ranges = Box::new([RANGE; AXES]);
+        let mut ranges = [RANGE; AXES];
         for (axis, info) in device.get_absinfo()? {
             if let Some(range) = ranges.get_mut(usize::from(axis.0)) {
                 *range = (info.minimum(), info.maximum());
             }
         }
-        let state = state(&device, &ranges)?;
-        let device = Box::new(device);
-        Ok((Self::Device { device, ranges }, state))
+        let device = Box::new(Device { device, ranges });
+        let state = device.state()?;
+        Ok((Self::Device(device), state))
     }
 
     /// The name of the device.
     pub(super) fn name(&self) -> Option<&str> {
         match self {
-            Self::Device { device, .. } => device.name(),
-            Self::Pipe { .. } => None,
+            Self::Device(device) => device.device.name(),
+            Self::Pipe(_) => None,
         }
     }
 
     /// Adds the events since the last call. A pad that can't be read is lost.
     pub(super) fn read(&mut self, events: &mut Vec<PadEvent>) {
         let result = match self {
-            Self::Device { device, ranges } => read_device(device, ranges, events),
-            Self::Pipe {
-                file,
-                rest,
-                is_begun,
-            } => read_pipe(file, rest, is_begun, events),
+            Self::Device(device) => device.read(events),
+            Self::Pipe(pipe) => pipe.read(events),
         };
         let is_lost = result.is_err_and(|error| {
             let kind = error.kind();
@@ -102,72 +105,67 @@ impl Source {
 impl AsFd for Source {
     fn as_fd(&self) -> BorrowedFd<'_> {
         match self {
-            Self::Device { device, .. } => device.as_fd(),
-            Self::Pipe { file, .. } => file.as_fd(),
+            Self::Device(device) => device.device.as_fd(),
+            Self::Pipe(pipe) => pipe.file.as_fd(),
         }
     }
 }
 
-fn read_device(
-    device: &mut RawDevice,
-    ranges: &[(i32, i32); AXES],
-    events: &mut Vec<PadEvent>,
-) -> io::Result<()> {
-    let mut is_dropped = false;
-    for event in device.fetch_events()? {
-        let event = pad_event(event, ranges);
-        is_dropped |= event == PadEvent::Dropped;
-        events.push(event);
+impl Device {
+    fn read(&mut self, events: &mut Vec<PadEvent>) -> io::Result<()> {
+        let mut is_dropped = false;
+        for event in self.device.fetch_events()? {
+            let event = pad_event(event, &self.ranges);
+            is_dropped |= event == PadEvent::Dropped;
+            events.push(event);
+        }
+        if is_dropped {
+            events.extend(self.state()?);
+        }
+        Ok(())
     }
-    if is_dropped {
-        events.extend(state(device, ranges)?);
-    }
-    Ok(())
-}
 
-/// The present buttons and sticks.
-fn state(device: &RawDevice, ranges: &[(i32, i32); AXES]) -> io::Result<Vec<PadEvent>> {
-    let pressed = device.get_key_state()?;
-    let keys = device.supported_keys();
-    let mut events: Vec<PadEvent> = keys
-        .into_iter()
-        .flat_map(|keys| keys.iter())
-        .map(|key| PadEvent::Button {
+    /// The present buttons and sticks.
+    fn state(&self) -> io::Result<Vec<PadEvent>> {
+        let pressed = self.device.get_key_state()?;
+        let keys = self
+            .device
+            .supported_keys()
+            .into_iter()
+            .flat_map(|keys| keys.iter());
+        let buttons = keys.map(|key| PadEvent::Button {
             code: key.0,
             pressed: pressed.contains(key),
-        })
-        .collect();
-    events.extend(device.get_absinfo()?.map(|(axis, info)| PadEvent::Axis {
-        code: axis.0,
-        value: share(axis.0, info.value(), ranges),
-    }));
-    Ok(events)
+        });
+        let sticks = self
+            .device
+            .get_absinfo()?
+            .map(|(axis, info)| PadEvent::Axis {
+                code: axis.0,
+                value: share(axis.0, info.value(), &self.ranges),
+            });
+        Ok(buttons.chain(sticks).collect())
+    }
 }
 
-fn read_pipe(
-    file: &mut File,
-    rest: &mut Vec<u8>,
-    is_begun: &mut bool,
-    events: &mut Vec<PadEvent>,
-) -> io::Result<()> {
-    let mut buffer = [0; 64 * EVENT];
-    loop {
-        let count = file.read(&mut buffer)?;
-        if count == 0 {
-            if *is_begun {
-                events.push(PadEvent::Lost);
+impl Pipe {
+    fn read(&mut self, events: &mut Vec<PadEvent>) -> io::Result<()> {
+        let mut buffer = [0; 64 * EVENT];
+        loop {
+            let count = self.file.read(&mut buffer)?;
+            if count == 0 {
+                if self.is_begun {
+                    events.push(PadEvent::Lost);
+                }
+                return Ok(());
             }
-            return Ok(());
+            self.is_begun = true;
+            self.rest.extend(buffer.iter().take(count));
+            let whole = self.rest.len() - self.rest.len() % EVENT;
+            let parsed: Vec<u8> = self.rest.drain(..whole).collect();
+            let parsed = parsed.chunks_exact(EVENT);
+            events.extend(parsed.filter_map(|bytes| parse(bytes.get(2 * WORD..)?)));
         }
-        *is_begun = true;
-        rest.extend(buffer.iter().take(count));
-        let whole = rest.len() - rest.len() % EVENT;
-        let parsed: Vec<u8> = rest.drain(..whole).collect();
-        events.extend(
-            parsed
-                .chunks_exact(EVENT)
-                .filter_map(|bytes| parse(bytes.get(2 * WORD..)?)),
-        );
     }
 }
 

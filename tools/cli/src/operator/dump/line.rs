@@ -41,16 +41,17 @@ impl Frame {
         frame.number("offset", offset).number("length", length)
     }
 
-    fn number(mut self, name: &str, number: impl Into<u64>) -> Self {
-        let value = Value::Unsigned(number.into());
+    fn with(mut self, name: &str, value: Value) -> Self {
         self.fields.push((name.to_owned(), value));
         self
     }
 
-    fn text(mut self, name: &str, text: impl Into<Cow<'static, str>>) -> Self {
-        let value = Value::Text(text.into());
-        self.fields.push((name.to_owned(), value));
-        self
+    fn number(self, name: &str, number: impl Into<u64>) -> Self {
+        self.with(name, Value::Unsigned(number.into()))
+    }
+
+    fn text(self, name: &str, text: impl Into<Cow<'static, str>>) -> Self {
+        self.with(name, Value::Text(text.into()))
     }
 
     /// The row of a message of the board.
@@ -115,9 +116,9 @@ impl Frame {
 pub(super) fn kinds() -> Vec<Kind> {
     // Zeros are a payload of every message.
     let zeros = [0; MAX_PAYLOAD_LENGTH];
+    let payloads = || (0..=MAX_PAYLOAD_LENGTH).filter_map(|length| zeros.get(..length));
     let example = |kind: u8| {
-        let payloads = (0..=MAX_PAYLOAD_LENGTH).filter_map(|length| zeros.get(..length));
-        let mut packets = payloads.map(|payload| Packet { kind, payload });
+        let mut packets = payloads().map(|payload| Packet { kind, payload });
         packets.find_map(|packet| ToHost::decode(packet).ok())
     };
     let messages = (0..=u8::MAX).filter_map(example);

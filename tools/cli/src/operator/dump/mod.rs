@@ -160,30 +160,20 @@ pub fn run(args: &DumpArgs) -> Result<()> {
     } else {
         Format::Csv
     });
-    let printed = print_or_count(args, format, brief, stdout.lock());
+    let printed = dump(args, format, brief, stdout.lock());
     printed.or_else(|error| match *error.downcast::<io::Error>()? {
         error if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         error => Err(format!("can't write to standard output: {error}").into()),
     })
 }
 
-/// Prints what is asked for to `output`.
+/// Prints what is asked for to `output`, or counts it; `brief`: without the distributions.
 ///
 /// # Errors
 ///
 /// When the source can't be read, a topic or a field does not exist, or the
 /// output can't be written.
-pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<()> {
-    print_or_count(args, format, false, output)
-}
-
-/// Counts if it shall, or shall be `brief`: without the distributions. Prints otherwise.
-fn print_or_count(
-    args: &DumpArgs,
-    format: Format,
-    brief: bool,
-    mut output: impl Write,
-) -> Result<()> {
+pub fn dump(args: &DumpArgs, format: Format, brief: bool, mut output: impl Write) -> Result<()> {
     let counts = args.stats || brief;
     if counts && format == Format::Csv {
         return Err("--stats has no csv: use --format table or --format json".into());

@@ -1,6 +1,6 @@
 //! Topics, fields, conditions and times: what the command line chooses among the rows.
 
-use std::{cmp::Ordering, collections::BTreeSet, fmt, mem, ops::RangeInclusive, str::FromStr};
+use std::{cmp::Ordering, fmt, mem, ops::RangeInclusive, str::FromStr};
 
 use jiff::Timestamp;
 use singletrack_record::{Topic, Value};
@@ -32,15 +32,21 @@ pub(super) fn check_field(kinds: &[Kind], name: &str) -> Result<(), String> {
         return Ok(());
     }
     let own = chosen.iter().flat_map(|kind| kind.own_fields());
-    let own = own.map(String::as_str);
-    let mut seen = BTreeSet::new();
-    let known: Vec<_> = own
-        .chain([TIME])
-        .filter(|field| seen.insert(*field))
-        .collect();
+    let known = distinct(own.map(String::as_str).chain([TIME]));
     let topics: Vec<_> = chosen.iter().map(|kind| kind.name).collect();
     let fields = suggested(name, &known, "; its fields are");
     Err(format!("{} has no field {fields}", topics.join(", ")))
+}
+
+/// The items without repetitions, in their order.
+fn distinct<T: PartialEq>(items: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut known = Vec::new();
+    for item in items {
+        if !known.contains(&item) {
+            known.push(item);
+        }
+    }
+    known
 }
 
 /// The name, with a question for the one that was probably meant if one is near, and all known ones
@@ -184,10 +190,7 @@ impl Condition {
         if ["", "none"].contains(&wanted.as_str()) || lists.iter().any(accepts) {
             return Ok(());
         }
-        let mut seen = BTreeSet::new();
-        let known = lists.concat().into_iter();
-        let known: Vec<_> = known.filter(|word| seen.insert(word.clone())).collect();
-        let known = known.join(", ");
+        let known = distinct(lists.concat()).join(", ");
         Err(format!("{field} is never {wanted:?}; it is one of {known}"))
     }
 }
@@ -259,8 +262,8 @@ impl<'a> Filter<'a> {
 pub enum Moment {
     /// Seconds after the start of the record.
     Seconds(f64),
-    /// On the wall, in ns since 1970.
-    WallNs(i64),
+    /// On the wall.
+    Wall(Timestamp),
 }
 
 impl FromStr for Moment {
@@ -272,7 +275,7 @@ impl FromStr for Moment {
             Ok(seconds) if seconds.is_finite() => {
                 Err("there is nothing before the start: give 0 or more seconds".to_owned())
             }
-            _ => wall_ns(text).map(Self::WallNs).ok_or_else(|| {
+            _ => wall(text).map(Self::Wall).ok_or_else(|| {
                 format!(
                     "not a time: {text:?}; use seconds since the start (12.5), or date, time and zone \
                      (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
@@ -287,11 +290,7 @@ impl fmt::Display for Moment {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Seconds(seconds) => write!(formatter, "{seconds}"),
-            Self::WallNs(wall_ns) => {
-                // All that fits into 64 bits is within the calendar: 1677 to 2262.
-                let time = Timestamp::from_nanosecond(i128::from(*wall_ns));
-                time.unwrap_or_default().fmt(formatter)
-            }
+            Self::Wall(time) => write!(formatter, "{time}"),
         }
     }
 }
@@ -308,29 +307,33 @@ impl Moment {
         match self {
             // Saturates, which is as good as never or ever.
             Self::Seconds(seconds) => Some((seconds * 1e9) as i64),
-            Self::WallNs(wall_ns) => {
-                Some(wall_ns.saturating_sub(i64::try_from(start_wall_ns?).unwrap_or(i64::MAX)))
+            Self::Wall(time) => {
+                let since_ns = time.as_nanosecond() - i128::from(start_wall_ns?);
+                Some(i64::try_from(since_ns).unwrap_or(i64::MAX))
             }
         }
     }
 }
 
-/// ISO 8601 with a zone, in ns since 1970: `2026-11-21T12:00:00.25+01:00`.
-fn wall_ns(text: &str) -> Option<i64> {
+/// ISO 8601 with a zone: `2026-11-21T12:00:00.25+01:00`.
+fn wall(text: &str) -> Option<Timestamp> {
     let offset = text.rfind(['+', '-']).and_then(|sign| text.get(sign + 1..));
     // An offset has its colon, as in RFC 3339; the library accepts it without.
     if offset.is_some_and(|offset| offset.len() == 4) {
         return None;
     }
-    let time: Timestamp = text.parse().ok()?;
-    i64::try_from(time.as_nanosecond()).ok()
+    // What fits into 64 bits of ns: 1677 to 2262.
+    let is_near = |time: &Timestamp| i64::try_from(time.as_nanosecond()).is_ok();
+    text.parse().ok().filter(is_near)
 }
 
 /// The times of the first and the last row in seconds, and the same times on the wall.
 fn span_text((start_wall_ns, span_ns): (u64, [i64; 2])) -> String {
-    let start_ns = i64::try_from(start_wall_ns).unwrap_or(i64::MAX);
     // To a millisecond, as the seconds.
-    let wall = |ns| Moment::WallNs(start_ns.saturating_add(ns) / 1_000_000 * 1_000_000);
+    let wall = |ns| {
+        let ms = (i128::from(start_wall_ns) + i128::from(ns)) / 1_000_000;
+        Timestamp::from_nanosecond(ms * 1_000_000).unwrap_or_default()
+    };
     let [first_s, last_s] = span_ns.map(|ns| ns as f64 / 1e9);
     let [first, last] = span_ns.map(wall);
     format!("{first_s:.3} s to {last_s:.3} s ({first} to {last})")
@@ -512,7 +515,7 @@ mod moment_tests {
 
     #[test]
     fn seconds_and_dates_are_understood() {
-        let wall = |seconds: i64, ns: i64| Moment::WallNs(seconds * 1_000_000_000 + ns);
+        let wall = |seconds, ns| Moment::Wall(Timestamp::new(seconds, ns).unwrap());
         for (text, expected) in [
             ("12.5", Moment::Seconds(12.5)),
             ("0", Moment::Seconds(0.0)),
@@ -575,7 +578,8 @@ mod moment_tests {
     #[test]
     fn a_moment_on_the_wall_needs_a_start_on_the_wall() {
         assert_eq!(Moment::Seconds(1.5).since(None), Some(1_500_000_000));
-        assert_eq!(Moment::WallNs(1_000).since(None), None);
-        assert_eq!(Moment::WallNs(1_000).since(Some(400)), Some(600));
+        let wall = Moment::Wall(Timestamp::from_nanosecond(1_000).unwrap());
+        assert_eq!(wall.since(None), None);
+        assert_eq!(wall.since(Some(400)), Some(600));
     }
 }

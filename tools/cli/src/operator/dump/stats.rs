@@ -265,11 +265,11 @@ impl<'a> Stats<'a> {
         counts.events_dropped += u64::from(tick.events_dropped);
         counts.without_new_pose += u64::from(output.held);
         counts.commands_not_written += u64::from(tick.drive.is_some_and(|drive| !drive.written));
-        self.lateness_us.push(microseconds(tick.lateness_ns()));
+        self.lateness_us.push(tick.lateness_ns() as f64 / 1e3);
         // In a held tick the pose is an old one, which says nothing of the latency.
         let latency_ns = tick.capture_to_command_ns().filter(|_| !output.held);
-        self.capture_to_command_us
-            .extend(latency_ns.map(microseconds));
+        let latency_us = latency_ns.map(|ns| ns as f64 / 1e3);
+        self.capture_to_command_us.extend(latency_us);
         let reason = output.reason.map(Reason::name);
         enter(&mut self.modes, (time_ns, (output.mode.name(), reason)));
     }
@@ -422,10 +422,6 @@ fn seconds(ns: i64) -> f64 {
     ns as f64 / 1e9
 }
 
-fn microseconds(ns: i64) -> f64 {
-    ns as f64 / 1e3
-}
-
 /// The longest bar of a histogram, in characters.
 const BAR: u64 = 50;
 /// No more spans of modes than this are listed one by one.
@@ -440,8 +436,7 @@ impl Report {
         let unfinished = if self.unfinished { ", unfinished" } else { "" };
         let mut page = format!("{}: {:.3} s{unfinished}", self.source, self.span_s);
         page += &self.topics();
-        page += &self.line();
-        page += &self.counters();
+        page += &self.counts();
         if !brief {
             page += &distribution("lateness of ticks, in us", self.lateness_us.as_ref());
             let title = "from mid-exposure to the command leaving, in us (ticks with a new pose)";
@@ -474,7 +469,8 @@ impl Report {
         table
     }
 
-    fn line(&self) -> String {
+    /// What was counted on the line, by the board, of poses and ticks, and in the record.
+    fn counts(&self) -> String {
         let line = &self.line;
         let mut text = String::new();
         if line.telemetry > 0 {
@@ -493,11 +489,6 @@ impl Report {
             let (rate, broken) = (rate.unwrap_or_default(), counts(&line.broken));
             text += &format!("\nbytes on the line: {bytes}{rate}\nbroken frames: {broken}");
         }
-        text
-    }
-
-    fn counters(&self) -> String {
-        let mut text = String::new();
         if let Some(board) = &self.board {
             text += &format!(
                 "\nthe board counted: {} frames received, {} frames damaged, {} drives refused, \

@@ -24,7 +24,7 @@ use toml::{Table, Value};
 
 use crate::{Result, help::printable, progress::progress_bar};
 
-pub use verdict::{Deviation, Deviations};
+use verdict::Deviations;
 
 /// Options of `singletrack replay`.
 #[derive(Clone, Debug, Args)]
@@ -108,7 +108,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
             differ.0 += 1;
         }
         if foreign || !is_verified {
-            deviations.add(&tick, &output);
+            deviations.add(span.seconds_to(&tick), &tick, &output);
         }
         span.add(&tick);
         if span.ticks.is_multiple_of(1_000) {

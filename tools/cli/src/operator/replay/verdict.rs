@@ -93,15 +93,15 @@ const QUANTITIES: [Quantity; 9] = [
 
 /// How one quantity deviates over a record.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Deviation {
+struct Deviation {
     /// Replayed minus recorded, in the ticks in which both have it.
-    pub differences: RootMeanSquare,
+    differences: RootMeanSquare,
     /// Ticks in which one has it.
-    pub unmatched: u64,
+    unmatched: u64,
     /// The largest of them, by amount.
-    pub largest: f64,
+    largest: f64,
     /// When that was, in s from the first tick.
-    pub largest_at: f64,
+    largest_at: f64,
 }
 
 impl Deviation {
@@ -118,20 +118,14 @@ impl Deviation {
             _ => self.unmatched += 1,
         }
     }
-
-    /// Root of the mean square.
-    pub fn rms(&self) -> f64 {
-        self.differences.value().unwrap_or(0.0)
-    }
 }
 
 /// How the outputs of a pilot with another configuration deviate.
 #[derive(Clone, Debug, Default)]
-pub struct Deviations {
+pub(super) struct Deviations {
     quantities: [Deviation; QUANTITIES.len()],
     modes: u64,
     first_mode: Option<(f64, Standing, Standing)>,
-    first_ns: Option<u64>,
     /// Time, then speed and steering as recorded and as replayed.
     series: Vec<[f64; 5]>,
 }
@@ -139,10 +133,8 @@ pub struct Deviations {
 type Standing = (Mode, Option<Reason>);
 
 impl Deviations {
-    /// Takes in a tick.
-    pub fn add(&mut self, tick: &TickRecord, output: &Output) {
-        let first_ns = *self.first_ns.get_or_insert(tick.start_ns);
-        let time = tick.start_ns.saturating_sub(first_ns) as f64 * 1e-9;
+    /// Takes in a tick, at this time in s since the first.
+    pub(super) fn add(&mut self, time: f64, tick: &TickRecord, output: &Output) {
         for ((_, _, quantity), deviation) in QUANTITIES.iter().zip(&mut self.quantities) {
             deviation.add(time, quantity(&tick.output), quantity(output));
         }
@@ -162,16 +154,8 @@ impl Deviations {
         ]);
     }
 
-    /// Deviation of each quantity, by name.
-    pub fn quantities(&self) -> impl Iterator<Item = (&'static str, &Deviation)> {
-        QUANTITIES
-            .iter()
-            .map(|(name, ..)| *name)
-            .zip(&self.quantities)
-    }
-
     /// Speed and steering, replayed over recorded.
-    pub fn figure(&self) -> Figure {
+    pub(super) fn figure(&self) -> Figure {
         let column =
             |index: usize| -> Column { self.series.iter().map(|row| row[index]).collect() };
         let time = column(0);
@@ -217,7 +201,7 @@ impl fmt::Display for Deviations {
             writeln!(
                 out,
                 "{name:<20} {unit:>6} {:>12.6} {:>12.6} {:>9.2} {:>10}",
-                deviation.rms(),
+                deviation.differences.value().unwrap_or(0.0),
                 deviation.largest,
                 deviation.largest_at,
                 deviation.unmatched
