@@ -29,7 +29,7 @@ use tokio::{
     time::timeout,
 };
 
-use crate::daemon::{Follower, PATIENCE, ServerThread};
+use crate::{Follower, PATIENCE, ServerThread};
 
 /// Messages that may wait for a viewer beyond the kernel's queue: older ones are out of
 /// date.

@@ -19,7 +19,7 @@ use tokio::{
     task::spawn_blocking,
 };
 
-use crate::daemon::PATIENCE;
+use crate::PATIENCE;
 
 /// Interval of the states, and of the statuses.
 const STATE_INTERVAL: Duration = Duration::from_millis(40);

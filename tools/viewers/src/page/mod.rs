@@ -16,10 +16,9 @@
 //! connection that sends no whole request, or does not read its answer, gives way to newer ones.
 
 mod feed;
-mod request;
 mod respond;
 mod server;
 
 pub use feed::OtherCar;
-pub use request::{BadRequest, Request};
+pub use respond::{BadRequest, Request};
 pub use server::Page;

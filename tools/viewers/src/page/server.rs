@@ -16,7 +16,7 @@ use super::{
     feed::{Feed, OtherCar, Setup},
     respond::{Shared, serve},
 };
-use crate::daemon::{Follower, ServerThread};
+use crate::{Follower, ServerThread};
 
 /// The largest number of connections at a time that wait for an answer, or for a request. A newer
 /// one takes the place of the oldest.
