@@ -69,9 +69,8 @@ pub fn take_negative_numbers(command: Command) -> Command {
 /// When it is neither, or negative; in words.
 pub fn parse_duration(text: &str) -> Result<Duration, String> {
     let text = text.trim();
-    let minutes = text
-        .strip_suffix('m')
-        .and_then(|number| number.parse::<f64>().ok());
+    let minutes = text.strip_suffix('m');
+    let minutes = minutes.and_then(|number| number.parse::<f64>().ok());
     let seconds = minutes.map(|minutes| 60.0 * minutes).or(text.parse().ok());
     if let Some(duration) = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok()) {
         return Ok(duration);
@@ -93,9 +92,8 @@ pub(crate) fn duration_within(text: &str, least_s: f64, most_s: f64) -> Result<D
 /// of one of a few.
 pub fn takes_number(argument: &Arg) -> bool {
     // Of an optional value, the next option would be taken for it.
-    let is_optional = argument
-        .get_num_args()
-        .is_some_and(|range| range.min_values() == 0);
+    let values = argument.get_num_args();
+    let is_optional = values.is_some_and(|range| range.min_values() == 0);
     let parser = argument.get_value_parser();
     let names = [TypeId::of::<PathBuf>(), TypeId::of::<String>()];
     let is_name =

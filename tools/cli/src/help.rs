@@ -8,17 +8,14 @@ use clap::Command;
 pub(crate) fn wrap(text: &str, columns: usize) -> impl Iterator<Item = String> {
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {
-        if let Some(line) = lines.last_mut() {
-            let is_first = line.is_empty();
-            if is_first || line.chars().count() + 1 + word.chars().count() <= columns {
-                if !is_first {
-                    line.push(' ');
-                }
+        match lines.last_mut() {
+            Some(line) if line.is_empty() => line.push_str(word),
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= columns => {
+                line.push(' ');
                 line.push_str(word);
-                continue;
             }
+            _ => lines.push(word.to_owned()),
         }
-        lines.push(word.to_owned());
     }
     lines.into_iter()
 }
@@ -30,16 +27,11 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.contains(commands) {
         return Cow::Borrowed(text);
     }
-    let mut printable = String::with_capacity(text.len());
-    for letter in text.chars() {
-        if commands(letter) {
-            // Writing to a string does not fail.
-            let _ = write!(printable, "\\u{:04x}", u32::from(letter));
-        } else {
-            printable.push(letter);
-        }
-    }
-    Cow::Owned(printable)
+    let shown = |letter: char| match commands(letter) {
+        true => format!("\\u{:04x}", u32::from(letter)),
+        false => letter.to_string(),
+    };
+    Cow::Owned(text.chars().map(shown).collect())
 }
 
 /// What the commands are for, and their names.
@@ -71,10 +63,8 @@ pub fn grouped(command: Command) -> Command {
     let mut template = "{about-with-newline}\n{usage-heading} {usage}\n".to_owned();
     for (group, names) in GROUPS {
         let mut lines = String::new();
-        for one in names
-            .split(' ')
-            .filter_map(|name| command.find_subcommand(name))
-        {
+        let commands = names.split(' ');
+        for one in commands.filter_map(|name| command.find_subcommand(name)) {
             let about = one.get_about().map(ToString::to_string).unwrap_or_default();
             let mut name = one.get_name();
             for line in wrap(&about, COLUMNS - NAMES - 2) {
@@ -86,10 +76,7 @@ pub fn grouped(command: Command) -> Command {
             let _ = write!(template, "\n{header}{group}:{header:#}\n{lines}");
         }
     }
-    let _ = write!(
-        template,
-        "\n{header}Options:{header:#}\n{{options}}{{after-help}}"
-    );
+    template += &format!("\n{header}Options:{header:#}\n{{options}}{{after-help}}");
     command.help_template(template)
 }
 

@@ -28,10 +28,8 @@ pub fn commands() -> impl Iterator<Item = (&'static str, &'static str)> {
 /// Adds the commands to the list of all. What they take is their program's.
 pub fn listed(mut command: Command) -> Command {
     for (name, about) in commands() {
-        let any = Arg::new("arguments")
-            .num_args(0..)
-            .trailing_var_arg(true)
-            .allow_hyphen_values(true);
+        let any = Arg::new("arguments").num_args(0..);
+        let any = any.trailing_var_arg(true).allow_hyphen_values(true);
         let one = Command::new(name).about(about).disable_help_flag(true);
         command = command.subcommand(one.arg(any));
     }

@@ -121,9 +121,8 @@ fn parse() -> Cli {
 
 /// The feature that the command `name` needs and this program lacks.
 fn missing_feature(command: &clap::Command, name: &str) -> Option<&'static str> {
-    let (feature, _) = OPTIONAL
-        .into_iter()
-        .find(|(_, names)| names.split(' ').any(|one| one == name))?;
+    let brings = |(_, names): &(&str, &str)| names.split(' ').any(|one| one == name);
+    let (feature, _) = OPTIONAL.into_iter().find(brings)?;
     command.find_subcommand(name).is_none().then_some(feature)
 }
 
@@ -166,10 +165,8 @@ fn run(cli: &Cli) -> Result<ExitCode> {
                 }
                 (None, SimulateFormat::Text) => writeln!(text, "{simulation}")?,
                 (None, SimulateFormat::Digest) => {
-                    let digest = simulation
-                        .digest
-                        .ok_or(simulate::SimulateError::NoPilot("no digest"))?;
-                    writeln!(text, "{digest}")?;
+                    let missing = simulate::SimulateError::NoPilot("no digest");
+                    writeln!(text, "{}", simulation.digest.ok_or(missing)?)?;
                 }
                 (None, SimulateFormat::Csv) => simulate::write_csv(&simulation.rows, &mut text)?,
             }

@@ -75,10 +75,8 @@ pub fn page(args: &PageArgs) -> Result<()> {
     if let Some(path) = &args.fleet {
         let mut cars = Fleet::read(path)?.cars;
         let name = args.car.as_ref();
-        let first = cars
-            .iter()
-            .position(|car| name.is_none_or(|it| *it == car.name));
-        let Some(first) = first else {
+        let is_first = |car: &FleetCar| name.is_none_or(|it| *it == car.name);
+        let Some(first) = cars.iter().position(is_first) else {
             let names: Vec<_> = cars.iter().map(|car| car.name.as_str()).collect();
             let why = format!("--car is none of the fleet: {}", names.join(", "));
             return Err(why.into());

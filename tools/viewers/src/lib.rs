@@ -89,9 +89,8 @@ impl Follower {
                 }
             }
         };
-        thread::Builder::new()
-            .name("daemon".to_owned())
-            .spawn(body)?;
+        let thread = thread::Builder::new().name("daemon".to_owned());
+        thread.spawn(body)?;
         Ok(Self(stop))
     }
 }

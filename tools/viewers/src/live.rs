@@ -91,7 +91,19 @@ impl Live {
             .enable_time()
             .build()?;
         let publisher = Publisher::new()?;
-        let handle = runtime.block_on(listen(address, &publisher.context))?;
+        // The server joins them with a colon.
+        let host = match address.ip() {
+            IpAddr::V4(ip) => ip.to_string(),
+            IpAddr::V6(ip) => format!("[{ip}]"),
+        };
+        let server = WebSocketServer::new()
+            .name(concat!("singletrack ", env!("CARGO_PKG_VERSION")))
+            .context(&publisher.context)
+            // Viewers can only subscribe.
+            .capabilities([])
+            .message_backlog_size(BACKLOG)
+            .bind(host, address.port());
+        let handle = runtime.block_on(server.start())?;
         let address = SocketAddr::new(address.ip(), handle.port());
         let shared = Arc::new(Shared::default());
         let served = Arc::clone(&shared);
@@ -215,25 +227,4 @@ impl Told {
         }
         *self = Self { viewers, lost };
     }
-}
-
-/// Starts the WebSocket server.
-async fn listen(
-    address: SocketAddr,
-    context: &Arc<Context>,
-) -> Result<WebSocketServerHandle, FoxgloveError> {
-    // The server joins them with a colon.
-    let host = match address.ip() {
-        IpAddr::V4(ip) => ip.to_string(),
-        IpAddr::V6(ip) => format!("[{ip}]"),
-    };
-    WebSocketServer::new()
-        .name(concat!("singletrack ", env!("CARGO_PKG_VERSION")))
-        .context(context)
-        // Viewers can only subscribe.
-        .capabilities([])
-        .message_backlog_size(BACKLOG)
-        .bind(host, address.port())
-        .start()
-        .await
 }

@@ -76,25 +76,25 @@ impl CarSummary {
 pub(super) fn run(demo: &Demo<'_>) -> Result<()> {
     let args = demo.args;
     let cars: Vec<FleetCar> = (0..args.cars).map(|index| car(args, index)).collect();
-    let (mut summaries, nearest_m) = match args.virtual_time {
-        true => virtual_time(demo, &cars)?,
-        false => real_time(demo, &cars)?,
+    let summary = |car: &FleetCar| CarSummary {
+        name: name(car).to_owned(),
+        ..CarSummary::default()
     };
-    for (summary, car) in summaries.iter_mut().zip(&cars) {
-        name(car).clone_into(&mut summary.name);
+    let mut summaries: Vec<_> = cars.iter().map(summary).collect();
+    let nearest_m = match args.virtual_time {
+        true => virtual_time(demo, &cars, &mut summaries)?,
+        false => real_time(demo, &cars, &mut summaries)?,
+    };
+    for summary in &summaries {
         let end = match summary.ended {
             Some(reason) => format!("stopped: {reason}"),
             None => "drove to the end".to_owned(),
         };
         let missed = summary.deadline_misses;
         let missed = missed.map(|misses| format!(", {misses} ticks missed"));
-        println!(
-            "{:6} {:6.1} m, yielded {:5.1} s, {end}{}",
-            summary.name,
-            summary.way_m,
-            summary.yielded_s,
-            missed.unwrap_or_default()
-        );
+        let (name, way_m, yielded_s) = (&summary.name, summary.way_m, summary.yielded_s);
+        let missed = missed.unwrap_or_default();
+        println!("{name:6} {way_m:6.1} m, yielded {yielded_s:5.1} s, {end}{missed}");
     }
     println!("least distance between any two: {nearest_m:.3} m");
     let path = args.out.join(SUMMARY);
@@ -132,10 +132,8 @@ fn car(args: &DemoArgs, index: usize) -> FleetCar {
     config.fence.corners_m = vec![[-half, -half], [half, -half], [half, half], [-half, half]];
     config.safety_filter.enabled = true;
     config.neighbours.enabled = true;
-    config.neighbours.expected = (0..args.cars)
-        .filter(|other| *other != index)
-        .map(name)
-        .collect();
+    let others = (0..args.cars).filter(|other| *other != index);
+    config.neighbours.expected = others.map(name).collect();
     config.record.directory.clone_from(&args.out);
     let phase = ahead * turn;
     FleetCar {
@@ -158,7 +156,7 @@ fn show(bar: &ProgressBar, time_s: f64, summaries: &[CarSummary], nearest_m: f64
     ));
 }
 
-fn virtual_time(demo: &Demo<'_>, cars: &[FleetCar]) -> Result<(Vec<CarSummary>, f64)> {
+fn virtual_time(demo: &Demo<'_>, cars: &[FleetCar], summaries: &mut [CarSummary]) -> Result<f64> {
     let args = demo.args;
     for car in cars {
         write_configuration(args, name(car), &car.config)?;
@@ -166,16 +164,11 @@ fn virtual_time(demo: &Demo<'_>, cars: &[FleetCar]) -> Result<(Vec<CarSummary>, 
     let mut fleet = VirtualFleet::new(cars)?;
     let drives = fleet.cars.iter_mut().zip(cars);
     let record = |(drive, car): (_, &FleetCar)| {
-        VirtualRecord::start(
-            Some(&record_of(args, name(car))),
-            drive,
-            &car.config,
-            car.seed,
-        )
+        let path = record_of(args, name(car));
+        VirtualRecord::start(Some(&path), drive, &car.config, car.seed)
     };
     let mut records: Vec<_> = drives.map(record).collect::<Result<_, _>>()?;
     fleet.start()?;
-    let mut summaries = vec![CarSummary::default(); cars.len()];
     let start_us = fleet.now_us;
     let duration_s = args.duration.as_secs_f64();
     let mut time_s = 0.0;
@@ -190,32 +183,26 @@ fn virtual_time(demo: &Demo<'_>, cars: &[FleetCar]) -> Result<(Vec<CarSummary>, 
         for (record, drive) in records.iter_mut().zip(&mut fleet.cars) {
             record.write(drive)?;
         }
-        show(&demo.bar, time_s, &summaries, fleet.nearest_m());
+        show(&demo.bar, time_s, summaries, fleet.nearest_m());
     }
     demo.bar.finish_and_clear();
     for drive in fleet.cars.iter().filter(|drive| drive.mode().is_underway()) {
         drive.request(PilotRequest::Disarm)?;
     }
-    fleet.advance_to(
-        fleet.now_us + STOP_TIMEOUT.as_micros() as u64,
-        &mut |_, _| {},
-    );
+    let until_us = fleet.now_us + STOP_TIMEOUT.as_micros() as u64;
+    fleet.advance_to(until_us, &mut |_, _| {});
     for (record, drive) in records.into_iter().zip(&mut fleet.cars) {
         record.finish(drive)?;
     }
-    Ok((summaries, fleet.nearest_m()))
+    Ok(fleet.nearest_m())
 }
 
-fn real_time(demo: &Demo<'_>, cars: &[FleetCar]) -> Result<(Vec<CarSummary>, f64)> {
+fn real_time(demo: &Demo<'_>, cars: &[FleetCar], summaries: &mut [CarSummary]) -> Result<f64> {
     let args = demo.args;
     let private = private()?;
     let floor = Arc::new(Mutex::new(fleet_floor(cars)));
-    let nearest_m = || {
-        floor
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .nearest_m
-    };
+    let locked = || floor.lock().unwrap_or_else(PoisonError::into_inner);
+    let nearest_m = || locked().nearest_m;
     let mut fleet = Vec::new();
     for (index, car) in cars.iter().enumerate() {
         let folder = folder(private.path(), car);
@@ -229,17 +216,14 @@ fn real_time(demo: &Demo<'_>, cars: &[FleetCar]) -> Result<(Vec<CarSummary>, f64
         let daemon = settings::start(args, name(car), config, car.seed, &simulator, &folder)?;
         fleet.push((simulator, daemon));
     }
-    let sockets = cars
-        .iter()
-        .map(|car| settings::socket(&folder(private.path(), car)));
-    let _viewers = viewers(args, sockets)?;
+    let socket = |car| settings::socket(&folder(private.path(), car));
+    let _viewers = viewers(args, cars.iter().map(socket))?;
 
     let daemons: Vec<_> = fleet.iter().map(|(_, daemon)| daemon).collect();
     arm(demo, &daemons, READY_TIMEOUT, |snapshot| {
         demo.bar
             .set_message(format!("waiting for all cars: {}", snapshot.mode()));
     })?;
-    let mut summaries = vec![CarSummary::default(); cars.len()];
     let begin = Instant::now();
     let mut last = begin;
     while begin.elapsed() < args.duration && !demo.interrupt.is_raised() {
@@ -251,12 +235,8 @@ fn real_time(demo: &Demo<'_>, cars: &[FleetCar]) -> Result<(Vec<CarSummary>, f64
                 summary.note(output, elapsed_s);
             }
         }
-        show(
-            &demo.bar,
-            begin.elapsed().as_secs_f64(),
-            &summaries,
-            nearest_m(),
-        );
+        let time_s = begin.elapsed().as_secs_f64();
+        show(&demo.bar, time_s, &summaries, nearest_m());
     }
     demo.bar.finish_and_clear();
     stop(&daemons)?;
@@ -265,7 +245,7 @@ fn real_time(demo: &Demo<'_>, cars: &[FleetCar]) -> Result<(Vec<CarSummary>, f64
         summary.deadline_misses = Some(driven.figures.deadline_misses);
         summary.way_m = simulator.stop()?.world.truth().way;
     }
-    Ok((summaries, nearest_m()))
+    Ok(nearest_m())
 }
 
 /// The name of a car, and of its files.

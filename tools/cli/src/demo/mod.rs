@@ -105,13 +105,11 @@ pub fn run(args: &DemoArgs) -> Result<()> {
                    demo --live` builds it with it";
         return Err(why.into());
     }
+    let millis = u64::try_from(args.duration.as_millis()).unwrap_or(u64::MAX);
     let demo = Demo {
         args,
         interrupt: Interrupt::listen()?,
-        bar: progress_bar(
-            u64::try_from(args.duration.as_millis()).unwrap_or(u64::MAX),
-            "{bar:10} {percent:>3} %  {msg}",
-        ),
+        bar: progress_bar(millis, "{bar:10} {percent:>3} %  {msg}"),
     };
     let folder = prepare(&args.out)?;
     if args.cars > 1 {

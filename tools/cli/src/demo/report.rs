@@ -131,15 +131,9 @@ fn true_samples(driven: &Drive, drive: &plot::drive::Drive) -> Vec<TruthSample> 
 
 /// The summary, for a person.
 fn text(args: &DemoArgs, drive: &Drive, summary: &DemoSummary<'_>) -> String {
-    let mut lines = vec![format!(
-        "Drove {:.1} s of the paper's circle{}.",
-        drive.duration_s,
-        if summary.virtual_time {
-            ", in virtual time"
-        } else {
-            ""
-        }
-    )];
+    let note = summary.virtual_time.then_some(", in virtual time");
+    let (time_s, note) = (drive.duration_s, note.unwrap_or_default());
+    let mut lines = vec![format!("Drove {time_s:.1} s of the paper's circle{note}.")];
     let mut line = |name: &str, text: String| lines.push(format!("  {name:<20}{text}"));
     match summary.tracking {
         Some(turn) => {
@@ -153,13 +147,9 @@ fn text(args: &DemoArgs, drive: &Drive, summary: &DemoSummary<'_>) -> String {
         }
     }
     let expected = &summary.expected;
-    let note = if args.feed_forward {
-        ""
-    } else {
-        " (unit gain alone; --feed-forward: 0)"
-    };
+    let note = (!args.feed_forward).then_some(" (unit gain alone; --feed-forward: 0)");
     let theory = circle(expected.amplitude_m, expected.lag_rad, expected.error_m);
-    line("theory, settled", theory + note);
+    line("theory, settled", theory + note.unwrap_or_default());
     if let Some(Summary { figures, .. }) = summary.daemon {
         let (late, latency) = (figures.lateness_us, figures.capture_to_command_us);
         let (mocap, frames) = (figures.mocap, figures.frames);

@@ -180,11 +180,8 @@ fn said(estimate: &CalibrationEstimate) -> String {
         return deviation(estimate);
     }
     let (_, unit, scale, digits) = units(estimate.parameter);
-    format!(
-        "about {:+.*} {unit}",
-        digits.saturating_sub(1),
-        scale * estimate.value
-    )
+    let (value, digits) = (scale * estimate.value, digits.saturating_sub(1));
+    format!("about {value:+.digits$} {unit}")
 }
 
 /// The change of the file, if it passes what `singletrackd --check` judges.

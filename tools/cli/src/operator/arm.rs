@@ -143,10 +143,8 @@ impl Drive {
         let mut armed: Option<Instant> = None;
         let (mut is_disarmed, mut is_let_go) = (false, false);
         loop {
-            let passed = armed.map(|armed| armed.elapsed());
-            let is_over_time = passed
-                .zip(time)
-                .is_some_and(|(passed, time)| passed >= time);
+            let is_over = |(armed, time): (Instant, Duration)| armed.elapsed() >= time;
+            let is_over_time = armed.zip(time).is_some_and(is_over);
             if (self.interrupt.is_raised() || is_over_time || is_let_go) && !is_disarmed {
                 is_disarmed = true;
                 // On a connection of its own: this one may wait for the board to arm.

@@ -119,12 +119,8 @@ pub(crate) fn in_words(tuning: &Tuning) -> String {
     let wanted = tuning.wanted_point_distance_m;
     let wanted = wanted.filter(|wanted| *wanted != distance);
     let wanted = wanted.map(|wanted| format!(" (going to {} m)", text(wanted)));
-    format!(
-        "{}p {} m{}",
-        gains.unwrap_or_default(),
-        text(distance),
-        wanted.unwrap_or_default()
-    )
+    let (gains, wanted) = (gains.unwrap_or_default(), wanted.unwrap_or_default());
+    format!("{gains}p {} m{wanted}", text(distance))
 }
 
 /// With four digits after the point at most.

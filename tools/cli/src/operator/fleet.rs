@@ -31,12 +31,8 @@ const WATCH: Duration = Duration::from_millis(500);
 #[derive(Clone, Debug, Args)]
 pub struct FleetArgs {
     /// The cars
-    #[arg(
-        long,
-        value_name = "FILE.toml",
-        default_value = "fleet.toml",
-        global = true
-    )]
+    #[arg(long, value_name = "FILE.toml", global = true)]
+    #[arg(default_value = "fleet.toml")]
     fleet: PathBuf,
     #[command(subcommand)]
     command: FleetCommand,
@@ -126,12 +122,9 @@ fn line(status: &Status, clock: &ClockOffset) -> String {
     let filtering = filtering.filter(|word| *word != "none");
     let reason = status.reason().or(filtering).unwrap_or("");
     let [offset_ms, bound_ms] = [clock.offset_ns as f64, clock.bound_ns as f64].map(|ns| ns / 1e6);
-    format!(
-        "{:12} {place}  clock {offset_ms:+.3} ms ± {bound_ms:.3}  {reason}",
-        status.mode()
-    )
-    .trim_end()
-    .to_owned()
+    let mode = status.mode();
+    let line = format!("{mode:12} {place}  clock {offset_ms:+.3} ms ± {bound_ms:.3}  {reason}");
+    line.trim_end().to_owned()
 }
 
 fn watch(fleet: &Fleet) -> Result<()> {

@@ -98,7 +98,6 @@ fn set(input: &io::Stdin, settings: &Termios) -> io::Result<()> {
 /// again. Dropping it brings back what was there before.
 pub(crate) struct Screen {
     keys: Option<RawTerminal>,
-    typed: Vec<u8>,
 }
 
 /// Another screen than that of the shell, without a cursor; and back.
@@ -114,7 +113,6 @@ impl Screen {
         }
         let screen = Self {
             keys: RawTerminal::open()?,
-            typed: Vec::new(),
         };
         put(ENTER)?;
         Ok(Some(screen))
@@ -122,11 +120,10 @@ impl Screen {
 
     /// Columns and rows.
     pub(crate) fn size() -> (usize, usize) {
-        tcgetwinsize(io::stdout())
-            .ok()
-            .map(|size| (usize::from(size.ws_col), usize::from(size.ws_row)))
-            .filter(|(columns, rows)| *columns > 0 && *rows > 0)
-            .unwrap_or((80, 24))
+        let size = tcgetwinsize(io::stdout()).ok();
+        let size = size.map(|size| (usize::from(size.ws_col), usize::from(size.ws_row)));
+        let known = size.filter(|(columns, rows)| *columns > 0 && *rows > 0);
+        known.unwrap_or((80, 24))
     }
 
     /// Draws these lines over those of before. What finds no room is left out.
@@ -145,13 +142,13 @@ impl Screen {
     }
 
     /// Whether this key has been pressed since the last call.
-    pub(crate) fn has_key(&mut self, key: u8) -> io::Result<bool> {
+    pub(crate) fn has_key(&self, key: u8) -> io::Result<bool> {
         if self.keys.is_none() {
             return Ok(false);
         }
-        self.typed.clear();
-        read_now(&mut self.typed)?;
-        Ok(self.typed.contains(&key))
+        let mut typed = Vec::new();
+        read_now(&mut typed)?;
+        Ok(typed.contains(&key))
     }
 }
 

@@ -291,21 +291,16 @@ impl Request {
             return Err(BadRequest::Malformed);
         };
         let (path, query) = target.split_once('?').unwrap_or((target, ""));
-        let token = query
-            .split('&')
-            .find_map(|pair| pair.strip_prefix("token="))
-            .map(str::to_owned);
-        let host = request
-            .headers
-            .iter()
-            .find(|header| header.name.eq_ignore_ascii_case("host"))
-            .and_then(|header| str::from_utf8(header.value).ok())
-            .map(|host| host.trim().to_owned());
+        let mut pairs = query.split('&');
+        let token = pairs.find_map(|pair| pair.strip_prefix("token="));
+        let mut headers = request.headers.iter();
+        let host = headers.find(|header| header.name.eq_ignore_ascii_case("host"));
+        let host = host.and_then(|header| str::from_utf8(header.value).ok());
         Ok(Some(Self {
             method: method.to_owned(),
             path: path.to_owned(),
-            token,
-            host,
+            token: token.map(str::to_owned),
+            host: host.map(|host| host.trim().to_owned()),
         }))
     }
 

@@ -132,21 +132,18 @@ impl LiveBench {
         loop {
             if sent.elapsed() >= SETPOINT {
                 sent = Instant::now();
-                let mut lines = Vec::new();
+                let mut send = |request| connection.send(request).map_err(Refused::because);
                 if attendance == Attendance::Drive {
                     // Without set-points the car can't be armed.
-                    lines.push(&stand);
+                    send(&stand)?;
                 }
                 let settled =
                     (attendance == Attendance::Jog || begun.elapsed() >= SETTLES) && again <= sent;
                 if asked.is_some() {
-                    lines.push(&Request::Hold {});
+                    send(&Request::Hold {})?;
                 } else if settled {
                     asked = Some(sent);
-                    lines.push(&arm);
-                }
-                for line in lines {
-                    connection.send(line).map_err(Refused::because)?;
+                    send(&arm)?;
                 }
             }
             if let Some(reply) = connection.receive::<Reply>().map_err(Refused::because)? {

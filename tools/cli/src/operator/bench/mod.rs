@@ -45,11 +45,8 @@ pub struct BenchArgs {
     #[command(flatten)]
     control: ConfiguredSocket,
     /// The daemon's configuration file; measured values are written to it
-    #[arg(
-        long,
-        value_name = "FILE",
-        default_value = "/etc/singletrackd/singletrackd.toml"
-    )]
+    #[arg(long, value_name = "FILE")]
+    #[arg(default_value = "/etc/singletrackd/singletrackd.toml")]
     config: PathBuf,
     /// Folder of the page with the findings, and of what is needed to resume
     /// [default: FILE.commissioning beside the configuration]
@@ -154,10 +151,8 @@ impl LiveBench {
         if next.is_some() {
             self.heard = Instant::now();
         } else if self.heard.elapsed() > SILENCE {
-            return Err(Interrupted::DaemonGone(format!(
-                "nothing for {} s",
-                SILENCE.as_secs()
-            )));
+            let why = format!("nothing for {} s", SILENCE.as_secs());
+            return Err(Interrupted::DaemonGone(why));
         }
         Ok(match next {
             Some(Heard::Entry(entry)) => Some(*entry),
@@ -192,10 +187,8 @@ impl LiveBench {
     /// What has changed in the configuration's file since the start, as a unified diff.
     pub(super) fn diff(&self) -> Result<String, EditError> {
         let now = Edit::read(&self.path)?;
-        Ok(self
-            .before
-            .until(&now)
-            .diff(&self.path.display().to_string()))
+        let name = self.path.display().to_string();
+        Ok(self.before.until(&now).diff(&name))
     }
 
     /// Reports to the daemon what becomes of a procedure that `arm` requires.
@@ -230,9 +223,8 @@ impl LiveBench {
         let diff = edit.diff(&self.path.display().to_string());
         self.terminal
             .say(&format!("{diff}The old file is {}.", kept.display()));
-        let _ = self
-            .terminal
-            .tell(&json!({ "changed": diff, "kept": kept }));
+        let told = json!({ "changed": diff, "kept": kept });
+        let _ = self.terminal.tell(&told);
         Ok(Some(edit))
     }
 

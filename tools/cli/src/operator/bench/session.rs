@@ -91,21 +91,17 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode> {
     bench.terminal.say(procedure.about);
     for finding in found {
         let Finding { step, found, .. } = finding;
-        bench
-            .terminal
-            .say(&format!("{step}: found before: {found}"));
+        let told = format!("{step}: found before: {found}");
+        bench.terminal.say(&told);
     }
     let findings = commissioning::run(procedure.steps, &mut bench, &mut journal)
         .map_err(|interrupted| format!("{interrupted}; run the same command again to resume"))?;
     let page = write_page(procedure, &bench, &folder, &findings)?;
-    bench.terminal.say(&format!(
-        "\n{}\nThe page is {}.",
-        report::summary(&findings),
-        page.display()
-    ));
-    let failed = findings
-        .iter()
-        .any(|finding| finding.verdict == Verdict::Failed);
+    let (summary, shown) = (report::summary(&findings), page.display());
+    let told = format!("\n{summary}\nThe page is {shown}.");
+    bench.terminal.say(&told);
+    let is_failed = |finding: &Finding| finding.verdict == Verdict::Failed;
+    let failed = findings.iter().any(is_failed);
     bench.report(if failed { "failed" } else { "passed" })?;
     if failed {
         bench.terminal.say(&format!(
@@ -164,10 +160,8 @@ fn write_page(
         "configuration": format!("{configuration:016x}"),
         "findings": findings,
     });
-    replace(
-        &folder.join(format!("{name}.json")),
-        json.to_string().as_bytes(),
-    )?;
+    let path_of_json = folder.join(format!("{name}.json"));
+    replace(&path_of_json, json.to_string().as_bytes())?;
     Ok(path)
 }
 
@@ -305,10 +299,8 @@ impl Journal for FileJournal {
         self.bar.finish_and_clear();
         eprintln!("\n[{number}/{of}] {}", step.title);
         if self.json {
-            println!(
-                "{}",
-                json!({ "step": step.name, "number": number, "of": of })
-            );
+            let begun = json!({ "step": step.name, "number": number, "of": of });
+            println!("{begun}");
         }
     }
 }
@@ -322,11 +314,8 @@ fn read(path: &Path, car_id: u16) -> Option<Vec<Entry>> {
         return None;
     }
     let entries = json["entries"].as_array()?.iter();
-    Some(
-        entries
-            .filter_map(|entry| Entry::deserialize(entry).ok())
-            .collect(),
-    )
+    let entries = entries.filter_map(|entry| Entry::deserialize(entry).ok());
+    Some(entries.collect())
 }
 
 /// Removes the file of a journal, if there is one.

@@ -97,10 +97,8 @@ impl Terminal {
         };
         let answer = parse(&question.answers, line.trim());
         if answer.is_none() {
-            eprint!(
-                "Please answer with {}, or s to skip. ",
-                expected(&question.answers)
-            );
+            let expected = expected(&question.answers);
+            eprint!("Please answer with {expected}, or s to skip. ");
             io::stderr().flush()?;
         }
         Ok(answer)
@@ -237,9 +235,8 @@ fn parse(answers: &Answers, line: &str) -> Option<Answer> {
         } => {
             let number = line.strip_suffix(unit).unwrap_or(line).trim();
             let value: f64 = number.replace(',', ".").parse().ok()?;
-            (*low..=*high)
-                .contains(&value)
-                .then_some(Answer::Number(value))
+            let is_within = (*low..=*high).contains(&value);
+            is_within.then_some(Answer::Number(value))
         }
     }
 }

@@ -72,26 +72,25 @@ enum Format {
     Json,
 }
 
-pub(crate) fn parse_address(text: &str) -> Result<Ipv4Addr, String> {
+pub(crate) fn parse_address(text: &str) -> Result<Ipv4Addr, &'static str> {
     match text {
         "localhost" => Ok(Ipv4Addr::LOCALHOST),
         _ => text
             .parse()
-            .map_err(|_| "write an IPv4 address, such as 192.168.1.10".to_owned()),
+            .map_err(|_| "write an IPv4 address, such as 192.168.1.10"),
     }
 }
 
-fn parse_kind(text: &str) -> Result<ServerKind, String> {
-    ServerKind::named(&text.to_lowercase())
-        .ok_or_else(|| "choose natnet, vrpn or qualisys".to_owned())
+fn parse_kind(text: &str) -> Result<ServerKind, &'static str> {
+    ServerKind::named(&text.to_lowercase()).ok_or("choose natnet, vrpn or qualisys")
 }
 
-fn parse_transport(text: &str) -> Result<TransportKind, String> {
-    TransportKind::named(text).ok_or_else(|| "choose unicast, multicast or tcp".to_owned())
+fn parse_transport(text: &str) -> Result<TransportKind, &'static str> {
+    TransportKind::named(text).ok_or("choose unicast, multicast or tcp")
 }
 
-fn parse_up_axis(text: &str) -> Result<UpAxis, String> {
-    UpAxis::named(text).ok_or_else(|| "choose y or z".to_owned())
+fn parse_up_axis(text: &str) -> Result<UpAxis, &'static str> {
+    UpAxis::named(text).ok_or("choose y or z")
 }
 
 /// The least rate to drive by, with a latency of 15 ms: a pose may be 50 ms old when the next one comes.
@@ -136,10 +135,8 @@ struct Report {
 ///
 /// The configuration or a socket can't be used.
 pub fn run(args: &CamerasArgs) -> Result<ExitCode> {
-    let mut watched = sections(args)?
-        .into_iter()
-        .map(Watched::new)
-        .collect::<Result<Vec<_>, _>>()?;
+    let sections = sections(args)?.into_iter();
+    let mut watched: Vec<_> = sections.map(Watched::new).collect::<Result<_>>()?;
     let millis = args.duration.as_millis() as u64;
     let bar = progress_bar(millis, "looking at the cameras {wide_bar} {eta}");
     let began_ns = monotonic_ns();
@@ -375,10 +372,12 @@ impl Report {
             "{kind} server {server}: {frames} {unit}, {lost} lost, {late} late, {damaged} damaged\n"
         );
         if let Some(times) = &self.times {
-            *text += &format!(
-                "latency {:.1} ms, known to {:.1} ms ({})\n",
-                times.latency_ms, times.uncertainty_ms, times.source
+            let (latency, uncertainty) = (times.latency_ms, times.uncertainty_ms);
+            let times = format!(
+                "{latency:.1} ms, known to {uncertainty:.1} ms ({})",
+                times.source
             );
+            *text += &format!("latency {times}\n");
         }
         for note in &self.notes {
             *text += &format!("{}\n", printable(note));

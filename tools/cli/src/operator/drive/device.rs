@@ -128,11 +128,8 @@ impl Device {
     /// The present buttons and sticks.
     fn state(&self) -> io::Result<Vec<PadEvent>> {
         let pressed = self.device.get_key_state()?;
-        let keys = self
-            .device
-            .supported_keys()
-            .into_iter()
-            .flat_map(|keys| keys.iter());
+        let keys = self.device.supported_keys().into_iter();
+        let keys = keys.flat_map(|keys| keys.iter());
         let buttons = keys.map(|key| PadEvent::Button {
             code: key.0,
             pressed: pressed.contains(key),

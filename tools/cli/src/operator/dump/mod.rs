@@ -210,10 +210,8 @@ pub fn dump(args: &DumpArgs, format: Format, brief: bool, mut output: impl Write
     filter.range = select::range(args, &source.about(), &name)?;
     let end = args.duration.map(|duration| Instant::now() + duration);
     // Ctrl-C ends a process that prints, as it ends others.
-    let interrupt = counts
-        .then(Interrupt::listen)
-        .transpose()?
-        .unwrap_or_default();
+    let interrupt = counts.then(Interrupt::listen).transpose()?;
+    let interrupt = interrupt.unwrap_or_default();
     let is_over = || interrupt.is_raised() || end.is_some_and(|end| Instant::now() >= end);
     let pumped = pump(source, &mut printer, &mut stats, &filter, is_over);
     // The rows before a failure are printed as well.

@@ -132,16 +132,12 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     }
     let pace = span.pace(start.elapsed());
     let told = if is_verified {
-        format!(
-            "{record}: {} ticks, every output the same to the bit\n",
-            span.ticks
-        )
+        let ticks = span.ticks;
+        format!("{record}: {ticks} ticks, every output the same to the bit\n")
     } else {
-        let figure = draw(args, &deviations)?;
-        format!(
-            "{deviations}{}: recorded and replayed commands\n",
-            figure.display()
-        )
+        let path = draw(args, &deviations)?;
+        let figure = path.display();
+        format!("{deviations}{figure}: recorded and replayed commands\n")
     };
     if let Some(ending @ Ending::Unfinished { .. }) = ticks.ending {
         eprintln!("singletrack: {record}: {ending}");
@@ -187,13 +183,9 @@ impl FromStr for Change {
                 "{key:?} is no key: write it as law.point_distance_m"
             ));
         }
-        let value = value.trim();
-        Ok(Self {
-            key,
-            value: value
-                .parse()
-                .unwrap_or_else(|_| Value::String(value.to_owned())),
-        })
+        let word = || Value::String(value.trim().to_owned());
+        let value = value.trim().parse().unwrap_or_else(|_| word());
+        Ok(Self { key, value })
     }
 }
 
@@ -264,10 +256,8 @@ impl Span {
     pub(super) fn pace(&self, took: Duration) -> String {
         let seconds = self.last_ns.saturating_sub(self.first_ns) as f64 * 1e-9;
         let took = took.as_secs_f64();
-        format!(
-            "{seconds:.2} s replayed in {took:.3} s: {:.0} times real time",
-            seconds / took
-        )
+        let pace = seconds / took;
+        format!("{seconds:.2} s replayed in {took:.3} s: {pace:.0} times real time")
     }
 }
 

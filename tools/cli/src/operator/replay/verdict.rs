@@ -54,10 +54,8 @@ pub(super) fn first_difference(
     let mut json = String::new();
     Entry::Tick(tick.clone()).write_json(&mut json);
     let _ = write!(text, "\nAs recorded:\n{json}");
-    let made_by = meta
-        .software
-        .get(DAEMON)
-        .map_or("no version", String::as_str);
+    let made_by = meta.software.get(DAEMON);
+    let made_by = made_by.map_or("no version", String::as_str);
     if made_by != VERSION {
         let _ = write!(
             text,

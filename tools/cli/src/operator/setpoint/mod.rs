@@ -122,11 +122,9 @@ const LEAD_NS: u64 = 500_000_000;
 
 /// Whether the car drives. A daemon that does not answer shows on the other connection.
 fn is_driving(socket: &Path) -> bool {
-    ask(&Request::Status {}, socket).is_ok_and(|answer| {
-        answer
-            .status
-            .is_some_and(|status| status.mode() == "driving")
-    })
+    let answer = ask(&Request::Status {}, socket).ok();
+    let status = answer.and_then(|answer| answer.status);
+    status.is_some_and(|status| status.mode() == "driving")
 }
 
 /// The set-points of standard input.
@@ -216,13 +214,12 @@ fn setpoint(line: &str) -> Result<Setpoint, String> {
                 .unwrap_or_else(|| error.to_string())
         });
     }
-    let numbers = line
-        .split_whitespace()
-        .map(|word| match word.parse::<f64>() {
-            Ok(number) if number.is_finite() => Ok(number),
-            _ => Err(format!("{word:?} is no number")),
-        })
-        .collect::<Result<Vec<_>, _>>()?;
+    let number = |word: &str| match word.parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        _ => Err(format!("{word:?} is no number")),
+    };
+    let numbers = line.split_whitespace().map(number);
+    let numbers = numbers.collect::<Result<Vec<_>, _>>()?;
     let (velocity, position) = match numbers[..] {
         [v_x, v_y] => ([v_x, v_y], None),
         [v_x, v_y, x, y] => ([v_x, v_y], Some([x, y])),

@@ -5,6 +5,7 @@ mod tests;
 
 use std::{
     io::{self, Write as _},
+    iter,
     path::Path,
     time::{Duration, Instant},
 };
@@ -155,11 +156,11 @@ impl Feed {
 fn watch(socket: &Path) -> Result<()> {
     let interrupt = Interrupt::listen()?;
     let mut feed = Feed::open(socket)?;
-    let mut screen = Screen::open()?;
+    let screen = Screen::open()?;
     let interval = if screen.is_some() { PICTURE } else { LINE };
     let mut shown: Option<Instant> = None;
     while !interrupt.is_raised() {
-        if let Some(screen) = &mut screen
+        if let Some(screen) = &screen
             && screen.has_key(b'q')?
         {
             break;
@@ -242,41 +243,40 @@ impl Summary {
     fn lines(&self, columns: usize) -> Vec<String> {
         let why = Why::of(&self.0);
         let status = &self.0;
-        let mut lines = Lines {
-            columns,
-            lines: Vec::new(),
-        };
+        let mut lines = Vec::new();
         let time = self.value(|state| state.drive_time_s);
         let time = time.map(|time_s| format!("{time_s:.1} s"));
-        lines.field("mode", status.mode(), &time.unwrap_or_default());
+        lines.push(field("mode", status.mode(), &time.unwrap_or_default()));
         // Above all else: what is below the window is not seen.
         if let Some(why) = why {
-            lines.paragraph("why", &why.text);
-            lines.paragraph("to do", why.advice.as_deref().unwrap_or("-"));
+            lines.extend(paragraph(columns, "why", &why.text));
+            let advice = why.advice.as_deref().unwrap_or("-");
+            lines.extend(paragraph(columns, "to do", advice));
         }
         if let Some(trouble) = status.record_trouble() {
-            lines.paragraph("record", &trouble);
+            lines.extend(paragraph(columns, "record", &trouble));
         }
         let pose = age(self.value(|state| state.pose_age_s));
-        lines.field("pose", &pose, &self.place());
+        lines.push(field("pose", &pose, &self.place()));
         let commanded = metres_per_second(self.value(|state| Some(state.commanded_speed_m_s)));
-        lines.field("speed", &self.speed(), &format!("commanded {commanded}"));
+        let commanded = format!("commanded {commanded}");
+        lines.push(field("speed", &self.speed(), &commanded));
         let steering = self.value(|state| Some(state.steering_rad.to_degrees()));
-        lines.field("steering", &with_unit(steering, 1, "degrees"), "");
-        lines.field("P", &self.error(), "");
+        lines.push(field("steering", &with_unit(steering, 1, "degrees"), ""));
+        lines.push(field("P", &self.error(), ""));
         let telemetry = format!("telemetry {}", age(self.value(|state| state.board_age_s)));
-        lines.field("link", self.link(), &telemetry);
-        lines.field("battery", &self.battery(), "");
+        lines.push(field("link", self.link(), &telemetry));
+        lines.push(field("battery", &self.battery(), ""));
         for (name, text) in [
             ("tuned", self.tuned()),
             ("advice", self.calibration()),
             ("learned", self.learned()),
         ] {
             if let Some(text) = text {
-                lines.paragraph(name, &text);
+                lines.extend(paragraph(columns, name, &text));
             }
         }
-        lines.lines
+        lines
     }
 
     /// Tuned values that differ from the configuration, and those of the configuration.
@@ -304,12 +304,11 @@ impl Summary {
             ("pivot forward", 1e3 * forward, "mm"),
             ("pivot left", 1e3 * left, "mm"),
         ];
-        let shown: Vec<String> = corrections
+        let shown = corrections
             .into_iter()
-            .filter(|(_, value, ..)| *value != 0.0)
-            .map(|(name, value, unit)| format!("{name} {value:+.1} {unit}"))
-            .collect();
-        Some(match shown.as_slice() {
+            .filter(|(_, value, _)| *value != 0.0);
+        let shown = shown.map(|(name, value, unit)| format!("{name} {value:+.1} {unit}"));
+        Some(match shown.collect::<Vec<_>>().as_slice() {
             [] => "nothing yet".to_owned(),
             shown => shown.join(", "),
         })
@@ -355,25 +354,18 @@ impl Summary {
     }
 }
 
-/// Lines that begin with a name.
-struct Lines {
-    /// How wide a paragraph may be.
-    columns: usize,
-    lines: Vec<String>,
+/// A line that begins with a name.
+fn field(name: &str, first: &str, second: &str) -> String {
+    let text = format!("{name:<NAMES$}{first:<VALUES$}{second}");
+    text.trim_end().to_owned()
 }
 
-impl Lines {
-    fn field(&mut self, name: &str, first: &str, second: &str) {
-        let text = format!("{name:<NAMES$}{first:<VALUES$}{second}");
-        self.lines.push(text.trim_end().to_owned());
-    }
-
-    fn paragraph(&mut self, name: &str, text: &str) {
-        for (index, part) in wrap(text, self.columns.saturating_sub(NAMES)).enumerate() {
-            let name = if index == 0 { name } else { "" };
-            self.lines.push(format!("{name:<NAMES$}{part}"));
-        }
-    }
+/// Lines of which the first begins with a name.
+fn paragraph(columns: usize, name: &str, text: &str) -> Vec<String> {
+    let names = iter::once(name).chain(iter::repeat(""));
+    let parts = names.zip(wrap(text, columns.saturating_sub(NAMES)));
+    let lines = parts.map(|(name, part)| format!("{name:<NAMES$}{part}"));
+    lines.collect()
 }
 
 fn with_unit(value: Option<f64>, digits: usize, unit: &str) -> String {

@@ -291,18 +291,13 @@ impl Pad {
         held.then_some(request)
     }
 
+    /// At rest while a stick is unknown.
     fn velocity(&self) -> PadRequest {
-        let (Some(speed), Some(turn)) = (self.speed, self.turn) else {
-            return PadRequest::Velocity {
-                speed: 0.0,
-                turn: 0.0,
-            };
-        };
-        PadRequest::Velocity {
-            // Never backward: the law would turn the car round.
-            speed: self.max_speed * beyond_centre(-speed).max(0.0),
-            turn: MAX_TURN * beyond_centre(-turn),
-        }
+        let (speed, turn) = self.speed.zip(self.turn).unwrap_or_default();
+        // Never backward: the law would turn the car round.
+        let speed = self.max_speed * beyond_centre(-speed).max(0.0);
+        let turn = MAX_TURN * beyond_centre(-turn);
+        PadRequest::Velocity { speed, turn }
     }
 }
 
