@@ -134,11 +134,8 @@ impl Publisher {
         let context = Context::new();
         let channels = Channel::all()
             .map(|channel| {
-                let schema = Schema::new(
-                    channel.schema_name(),
-                    Channel::SCHEMA_ENCODING,
-                    channel.schema_text().into_bytes(),
-                );
+                let text = channel.schema_text().into_bytes();
+                let schema = Schema::new(channel.schema_name(), Channel::SCHEMA_ENCODING, text);
                 let raw = ChannelBuilder::new(channel.topic())
                     .message_encoding(Channel::MESSAGE_ENCODING)
                     .schema(schema)

@@ -64,10 +64,8 @@ pub fn run(args: &JogArgs) -> Result<ExitCode> {
         jog: true,
         ..Arm::default()
     }))?;
-    let begun = Pulses {
-        servo_us: args.servo_us,
-        esc_us: args.esc_us,
-    };
+    let (servo_us, esc_us) = (args.servo_us, args.esc_us);
+    let begun = Pulses { servo_us, esc_us };
     // It takes keys one by one until it is dropped.
     let Some(_terminal) = keyboard else {
         return drive.attend(args.time, || Ok(Some((request(begun), CTRL_C.to_owned()))));
@@ -214,10 +212,8 @@ impl Keyboard {
             },
             _ => neutral_us,
         };
-        Some(Pulses {
-            servo_us: self.servo_us,
-            esc_us,
-        })
+        let servo_us = self.servo_us;
+        Some(Pulses { servo_us, esc_us })
     }
 }
 

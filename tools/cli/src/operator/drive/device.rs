@@ -171,11 +171,9 @@ fn parse(bytes: &[u8]) -> Option<PadEvent> {
     let [t0, t1, c0, c1, value @ ..] = bytes else {
         return None;
     };
-    let event = InputEvent::new(
-        u16::from_ne_bytes([*t0, *t1]),
-        u16::from_ne_bytes([*c0, *c1]),
-        i32::from_ne_bytes(value.try_into().ok()?),
-    );
+    let [kind, code] = [[*t0, *t1], [*c0, *c1]].map(u16::from_ne_bytes);
+    let value = i32::from_ne_bytes(value.try_into().ok()?);
+    let event = InputEvent::new(kind, code, value);
     Some(pad_event(event, &[RANGE; AXES]))
 }
 

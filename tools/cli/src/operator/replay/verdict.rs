@@ -142,14 +142,9 @@ impl Deviations {
             self.first_mode
                 .get_or_insert((time, standing(&tick.output), standing(output)));
         }
-        let (recorded, replayed) = (tick.output.actuation, output.actuation);
-        self.series.push([
-            time,
-            recorded.speed,
-            replayed.speed,
-            recorded.steering,
-            replayed.steering,
-        ]);
+        let (was, is) = (tick.output.actuation, output.actuation);
+        let row = [time, was.speed, is.speed, was.steering, is.steering];
+        self.series.push(row);
     }
 
     /// Speed and steering, replayed over recorded.
