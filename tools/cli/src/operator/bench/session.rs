@@ -213,21 +213,14 @@ impl Entry {
     /// Whether it is of one of these steps that did not fail, not older than a day, and with
     /// measured values that the configuration still has.
     fn holds(&self, steps: &[Step], configuration: &Edit, now: Timestamp) -> bool {
-        let Finding {
-            step,
-            verdict,
-            parameters,
-            ..
-        } = &self.finding;
+        let finding = &self.finding;
         let age = now.duration_since(self.time);
-        steps.iter().any(|known| known.name == *step)
-            && *verdict != Verdict::Failed
+        let mut keys = finding.parameters.iter().filter_map(|it| it.key.as_ref());
+        steps.iter().any(|known| known.name == finding.step)
+            && finding.verdict != Verdict::Failed
             && age < VALID
             && !age.is_negative()
-            && parameters
-                .iter()
-                .filter_map(|parameter| parameter.key.as_ref())
-                .all(|(key, value)| configuration.has(key, value))
+            && keys.all(|(key, value)| configuration.has(key, value))
     }
 }
 

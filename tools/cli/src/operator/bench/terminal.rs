@@ -199,10 +199,7 @@ fn expected(answers: &Answers) -> String {
         Answers::Begin => "Enter".to_owned(),
         Answers::YesNo => "y or n".to_owned(),
         Answers::Choice(words) => words.join(", "),
-        Answers::Number {
-            unit,
-            range: [low, high],
-        } => format!("a number, {low} to {high} {unit}"),
+        Answers::Number { unit, range } => format!("a number, {} to {} {unit}", range[0], range[1]),
     }
 }
 
@@ -229,13 +226,10 @@ fn parse(answers: &Answers, line: &str) -> Option<Answer> {
             };
             matching.next().is_none().then_some(Answer::Choice(index))
         }
-        Answers::Number {
-            unit,
-            range: [low, high],
-        } => {
+        Answers::Number { unit, range } => {
             let number = line.strip_suffix(unit).unwrap_or(line).trim();
             let value: f64 = number.replace(',', ".").parse().ok()?;
-            let is_within = (*low..=*high).contains(&value);
+            let is_within = (range[0]..=range[1]).contains(&value);
             is_within.then_some(Answer::Number(value))
         }
     }
