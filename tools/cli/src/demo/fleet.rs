@@ -236,7 +236,7 @@ fn real_time(demo: &Demo<'_>, cars: &[FleetCar], summaries: &mut [CarSummary]) -
             }
         }
         let time_s = begin.elapsed().as_secs_f64();
-        show(&demo.bar, time_s, &summaries, nearest_m());
+        show(&demo.bar, time_s, summaries, nearest_m());
     }
     demo.bar.finish_and_clear();
     stop(&daemons)?;

@@ -105,13 +105,14 @@ pub fn run(args: &DemoArgs) -> Result<()> {
                    demo --live` builds it with it";
         return Err(why.into());
     }
+    let interrupt = Interrupt::listen()?;
+    let folder = prepare(&args.out)?;
     let millis = u64::try_from(args.duration.as_millis()).unwrap_or(u64::MAX);
     let demo = Demo {
         args,
-        interrupt: Interrupt::listen()?,
+        interrupt,
         bar: progress_bar(millis, "{bar:10} {percent:>3} %  {msg}"),
     };
-    let folder = prepare(&args.out)?;
     if args.cars > 1 {
         return fleet::run(&demo);
     }

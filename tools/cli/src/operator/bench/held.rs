@@ -23,23 +23,19 @@ pub(super) struct BenchDrive {
 impl LiveBench {
     /// Renews a held drive while its key is held, and takes what the daemon says of it.
     pub(super) fn renew(&mut self) {
-        let Some(drive) = &mut self.drive else { return };
-        if drive.ended.is_some() {
-            return;
-        }
-        match self.terminal.is_released() {
-            Ok(false) => {}
-            Ok(true) => drive.ended = Some("the space bar was released".to_owned()),
-            Err(error) => drive.ended = Some(format!("the space bar can't be read: {error}")),
-        }
+        let drive = self.drive.as_mut().filter(|drive| drive.ended.is_none());
+        let Some(drive) = drive else { return };
+        drive.ended = match self.terminal.is_released() {
+            Ok(false) => None,
+            Ok(true) => Some("the space bar was released".to_owned()),
+            Err(error) => Some(format!("the space bar can't be read: {error}")),
+        };
         if drive.ended.is_some() {
             // Without a renewal it would end half a second later.
             let _ = drive.held.connection.send(&Request::DISARM);
             return;
         }
-        if let Err(error) = drive.held.renew() {
-            drive.ended = Some(error.to_string());
-        }
+        drive.ended = drive.held.renew().err().map(|error| error.to_string());
         loop {
             match drive.held.connection.receive() {
                 Ok(None) => return,

@@ -233,11 +233,8 @@ impl DriveSession<'_> {
                 stage => stage == Stage::Off,
             };
             if is_over && self.pad.is_lost {
-                return Err(match was_driving {
-                    true => "the pad is gone: the motor is at neutral",
-                    false => "the pad is gone",
-                }
-                .into());
+                let motor = was_driving.then_some(": the motor is at neutral");
+                return Err(format!("the pad is gone{}", motor.unwrap_or_default()).into());
             }
             if is_over && is_leaving {
                 let stopped = matches!(self.stage, Stage::Ending(_));

@@ -60,19 +60,14 @@ impl TrajectoryFile {
             let rows = reader.deserialize().collect::<Result<Vec<Row>, _>>();
             let rows = rows.map_err(|error| format!("{error}; {CSV}"))?;
             let rows = (1_usize..).zip(rows).map(|(number, row)| {
+                if row.vx_m_s.is_some() != row.vy_m_s.is_some() {
+                    let how = "write vx_m_s and vy_m_s, or neither";
+                    return Err(format!("point {number} has half a velocity; {how}"));
+                }
                 Ok(Point {
                     t_s: row.t_s,
                     position_m: [row.x_m, row.y_m],
-                    velocity_m_s: match (row.vx_m_s, row.vy_m_s) {
-                        (Some(x), Some(y)) => Some([x, y]),
-                        (None, None) => None,
-                        _ => {
-                            return Err(format!(
-                                "point {number} has half a velocity; write vx_m_s and vy_m_s, or \
-                                 neither"
-                            ));
-                        }
-                    },
+                    velocity_m_s: row.vx_m_s.zip(row.vy_m_s).map(<[f64; 2]>::from),
                 })
             });
             rows.collect::<Result<_, _>>()?
