@@ -5,7 +5,6 @@ use super::{
     log::Log,
     map::{Acceleration, ImuSection, Map, MotorSection, Quantity, interpolation, nanoseconds},
     row::{Header, Row},
-    samples::Series,
     sensor::{Column, Poses, Sensor},
 };
 
@@ -22,35 +21,29 @@ pub(super) struct Columns<'a> {
 impl<'a> Columns<'a> {
     /// Finds the columns that the map names.
     pub(super) fn find(header: &mut impl Header, map: &'a Map) -> Result<Self, ImportError> {
+        let poses = Poses::find(header, &map.pose)?;
+        let imu = map.imu.as_ref().map(|imu| inertial(header, imu));
+        let (imu, motor) = (imu.transpose()?, motor(header, &map.motor)?);
+        let driving = map.driving.as_ref().map(|section| {
+            let place = header.find("driving.column", section.messages(), &section.column);
+            place.map(|place| Sensor::held(Column::flag(place), 0))
+        });
+        let driving = driving.transpose()?;
+        let (section, key) = (&map.steering, "steering.column");
+        let place = header.find(key, section.messages(), &section.column)?;
+        let steering = Sensor::held(Column::plain(place), nanoseconds(section.delay_s));
+        let speed_command = map.speed_command.as_ref().map(|section| {
+            let key = "speed_command.speed";
+            let column = Column::find(header, key, section.messages(), &section.speed);
+            column.map(|column| Sensor::held(column, nanoseconds(section.delay_s)))
+        });
         Ok(Self {
-            poses: Poses::find(header, &map.pose)?,
-            imu: match &map.imu {
-                None => None,
-                Some(imu) => Some(inertial(header, imu)?),
-            },
-            motor: motor(header, &map.motor)?,
-            driving: match &map.driving {
-                None => None,
-                Some(section) => {
-                    let place =
-                        header.find("driving.column", section.messages(), &section.column)?;
-                    Some(Sensor::new([Column::flag(place)], None, 0))
-                }
-            },
-            steering: {
-                let (section, key) = (&map.steering, "steering.column");
-                let place = header.find(key, section.messages(), &section.column)?;
-                let delay_ns = nanoseconds(section.delay_s);
-                Sensor::new([Column::plain(place)], None, delay_ns)
-            },
-            speed_command: match &map.speed_command {
-                None => None,
-                Some(section) => {
-                    let key = "speed_command.speed";
-                    let column = Column::find(header, key, section.messages(), &section.speed)?;
-                    Some(Sensor::new([column], None, nanoseconds(section.delay_s)))
-                }
-            },
+            poses,
+            imu,
+            motor,
+            driving,
+            steering,
+            speed_command: speed_command.transpose()?,
         })
     }
 
@@ -72,10 +65,8 @@ impl<'a> Columns<'a> {
 
     /// What the rows say.
     pub(super) fn log(self, map: &Map, start_wall_ns: u64, end_ns: u64, sorted: u64) -> Log {
-        let held = |sensor: Sensor<1>| Series::new(sensor.samples, None);
-        let inertial = self.imu.zip(map.imu.as_ref());
-        let mut steering = self.steering.samples;
-        for sample in &mut steering {
+        let mut steering = self.steering.series;
+        for sample in &mut steering.samples {
             sample.values = sample.values.map(|command| map.steering.angle(command));
         }
         Log {
@@ -84,18 +75,11 @@ impl<'a> Columns<'a> {
             end_ns,
             exposures_are_known: map.pose.exposures_hz.is_some(),
             poses: self.poses.poses,
-            inertial: inertial.map(|(sensor, imu)| {
-                let interpolation = interpolation(imu.interpolate_hz, imu.longest_gap_s);
-                Series::new(sensor.samples, interpolation)
-            }),
-            motor_speed: {
-                let interpolation =
-                    interpolation(map.motor.interpolate_hz, map.motor.longest_gap_s);
-                Series::new(self.motor.samples, interpolation)
-            },
-            steering: Series::new(steering, None),
-            speed_command: self.speed_command.map(held),
-            driving: self.driving.map(held),
+            inertial: self.imu.map(|sensor| sensor.series),
+            motor_speed: self.motor.series,
+            steering,
+            speed_command: self.speed_command.map(|sensor| sensor.series),
+            driving: self.driving.map(|sensor| sensor.series),
             tick_ns: u64::from(map.tick_ms) * 1_000_000,
             phase_ns: match map.pose.exposures_hz {
                 None => 0,
@@ -118,7 +102,9 @@ fn inertial(header: &mut impl Header, section: &ImuSection) -> Result<Sensor<3>,
         yaw_rate,
     ];
     let changes = header.find_if("imu.new_when_changes", messages, &section.new_when_changes)?;
-    Ok(Sensor::new(columns, changes, nanoseconds(section.delay_s)))
+    let interpolation = interpolation(section.interpolate_hz, section.longest_gap_s);
+    let delay_ns = nanoseconds(section.delay_s);
+    Ok(Sensor::new(columns, changes, delay_ns, interpolation))
 }
 
 fn motor(header: &mut impl Header, section: &MotorSection) -> Result<Sensor<1>, ImportError> {
@@ -126,5 +112,7 @@ fn motor(header: &mut impl Header, section: &MotorSection) -> Result<Sensor<1>, 
     let column = Column::find(header, "motor.speed", messages, &section.speed)?;
     let key = "motor.new_when_changes";
     let changes = header.find_if(key, messages, &section.new_when_changes)?;
-    Ok(Sensor::new([column], changes, nanoseconds(section.delay_s)))
+    let interpolation = interpolation(section.interpolate_hz, section.longest_gap_s);
+    let delay_ns = nanoseconds(section.delay_s);
+    Ok(Sensor::new([column], changes, delay_ns, interpolation))
 }

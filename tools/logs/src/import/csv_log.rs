@@ -54,7 +54,11 @@ pub(super) fn read(paths: &[&Path], map: &Map) -> Result<Log, ImportError> {
         sorted += clock.sorted;
         tables.push(table);
     }
-    let mut columns = Columns::find(&mut Tables::new(&tables), map)?;
+    let mut header = Tables {
+        tables: &tables,
+        sections: Vec::new(),
+    };
+    let mut columns = Columns::find(&mut header, map)?;
     rows.sort_by_key(|(time, ..)| *time);
     let times = rows.first().zip(rows.last());
     let (first, last) = times.map_or((0, 0), |(first, last)| (first.0, last.0));
@@ -214,10 +218,6 @@ struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    fn has(&self, column: &str) -> bool {
-        self.names.iter().any(|name| name == column)
-    }
-
     /// The place of the column that `key` in the map names.
     pub(super) fn place(&self, key: &'static str, column: &str) -> Result<Place, ImportError> {
         let names = self.names.iter().enumerate();
@@ -259,15 +259,6 @@ struct Tables<'a> {
     sections: Vec<(&'static str, &'static str, &'a Table<'a>)>,
 }
 
-impl<'a> Tables<'a> {
-    pub(super) const fn new(tables: &'a [Table<'a>]) -> Self {
-        Self {
-            tables,
-            sections: Vec::new(),
-        }
-    }
-}
-
 impl row::Header for Tables<'_> {
     fn find(
         &mut self,
@@ -275,7 +266,8 @@ impl row::Header for Tables<'_> {
         messages: Messages<'_>,
         column: &str,
     ) -> Result<Place, ImportError> {
-        let mut having = self.tables.iter().filter(|table| table.has(column));
+        let has = |table: &&Table<'_>| table.names.iter().any(|name| name == column);
+        let mut having = self.tables.iter().filter(has);
         let found = having.next();
         if let Some((one, other)) = found.zip(having.next()) {
             let why = format!(

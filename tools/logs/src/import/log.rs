@@ -144,9 +144,7 @@ impl Summary {
         }
         arrivals
     }
-}
 
-impl Summary {
     fn write_times(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut before = "; ";
         for (what, times) in ["poses", "IMU", "motor"].into_iter().zip(&self.times) {

@@ -24,7 +24,7 @@ pub(super) struct Interpolation {
 /// Samples with the rule for the time between them.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Series<const N: usize> {
-    samples: Vec<Sample<N>>,
+    pub(super) samples: Vec<Sample<N>>,
     interpolation: Option<Interpolation>,
 }
 

@@ -7,7 +7,7 @@ use super::{
     log::ImportError,
     map::{Conversion, EmptyRows, Messages, PoseSection, Quantity, nanoseconds},
     row::{Header, Place, Row},
-    samples::Sample,
+    samples::{Interpolation, Sample, Series},
     times::FOLLOWED,
 };
 
@@ -106,17 +106,29 @@ pub(super) struct Sensor<const N: usize> {
     columns: [Column; N],
     new_rows: NewRows,
     delay_ns: u64,
-    pub(super) samples: Vec<Sample<N>>,
+    pub(super) series: Series<N>,
+}
+
+impl Sensor<1> {
+    /// A column whose values are held.
+    pub(super) const fn held(column: Column, delay_ns: u64) -> Self {
+        Self::new([column], None, delay_ns, None)
+    }
 }
 
 impl<const N: usize> Sensor<N> {
     /// With the column by whose changes new rows are known, if there is one.
-    pub(super) const fn new(columns: [Column; N], changes: Option<Place>, delay_ns: u64) -> Self {
+    pub(super) const fn new(
+        columns: [Column; N],
+        changes: Option<Place>,
+        delay_ns: u64,
+        interpolation: Option<Interpolation>,
+    ) -> Self {
         Self {
             columns,
             new_rows: NewRows::new(changes),
             delay_ns,
-            samples: Vec::new(),
+            series: Series::new(Vec::new(), interpolation),
         }
     }
 
@@ -133,7 +145,7 @@ impl<const N: usize> Sensor<N> {
         for (value, column) in values.iter_mut().zip(&self.columns) {
             *value = column.finite(row)?;
         }
-        self.samples.push(Sample {
+        self.series.samples.push(Sample {
             time_ns: time_ns - self.delay_ns,
             values,
         });

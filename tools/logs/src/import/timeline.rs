@@ -10,14 +10,16 @@ use singletrack_record::{LinkPhase, MAX_EVENTS, TickRecord};
 use super::{
     FIRST_ROW_NS,
     log::{Log, Summary},
-    samples::Sample,
     times::Times,
 };
 
 /// The observations and the board samples of a log, tick by tick.
 pub(super) struct Timeline<'a> {
     log: &'a Log,
-    board: BoardSamples,
+    /// The samples of the board, in the order of time.
+    board: Vec<BoardSample>,
+    /// Inertial samples at times at which the speed of the motor is not known.
+    without_motor_speed: u64,
     /// The number of ticks.
     pub(super) ticks: u64,
     index: u64,
@@ -31,9 +33,11 @@ pub(super) struct Timeline<'a> {
 
 impl<'a> Timeline<'a> {
     pub(super) fn new(log: &'a Log) -> Self {
+        let (board, without_motor_speed) = board_samples(log);
         Self {
             log,
-            board: BoardSamples::new(log),
+            board,
+            without_motor_speed,
             // The last tick is not before the last row.
             ticks: log
                 .end_ns
@@ -117,8 +121,8 @@ impl<'a> Timeline<'a> {
             untracked: count(PoseState::Untracked),
             inertial: inertial.map(|series| Summary::arrivals(series.times_ns())),
             motor: Summary::arrivals(self.log.motor_speed.times_ns()),
-            board: Summary::arrivals(self.board.samples.iter().map(|sample| sample.time.0)),
-            without_motor_speed: self.board.without_motor_speed,
+            board: Summary::arrivals(self.board.iter().map(|sample| sample.time.0)),
+            without_motor_speed: self.without_motor_speed,
             sorted: self.log.sorted,
             times: [
                 times(&mut valid.clone().map(|pose| pose.receive_time_ns)),
@@ -135,7 +139,7 @@ impl<'a> Timeline<'a> {
     fn next_event(&mut self, time: Time) -> Option<Event> {
         let observation = self.log.poses.get(self.next_observation);
         let observation = observation.filter(|one| one.receive_time_ns <= time.0);
-        let sample = self.board.samples.get(self.next_sample);
+        let sample = self.board.get(self.next_sample);
         let is_first = |one: Time| observation.is_none_or(|other| one.0 <= other.receive_time_ns);
         if let Some(sample) = sample.filter(|one| one.time <= time && is_first(one.time)) {
             self.next_sample += 1;
@@ -191,56 +195,37 @@ impl<'a> Timeline<'a> {
     }
 }
 
-/// The samples of the board, in the order of time.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct BoardSamples {
-    /// Each with a speed of the motor.
-    pub(super) samples: Vec<BoardSample>,
-    /// Inertial samples at times at which the speed of the motor is not known.
-    pub(super) without_motor_speed: u64,
-}
-
-impl BoardSamples {
-    /// A sample for each one of the IMU; of a log without an IMU, for each one of the motor.
-    pub(super) fn new(log: &Log) -> Self {
-        let rows: Vec<_> = match &log.inertial {
-            Some(inertial) => {
-                let samples = inertial.resampled().into_iter();
-                let row =
-                    |it: Sample<3>| (it.time_ns, Some(it.values), log.motor_speed.at(it.time_ns));
-                samples.map(row).collect()
-            }
-            None => {
-                let samples = log.motor_speed.resampled().into_iter();
-                samples
-                    .map(|it| (it.time_ns, None, Some(it.values)))
-                    .collect()
-            }
-        };
-        let sample = |(time_ns, inertial, motor): &(u64, Option<[f64; 3]>, Option<[f64; 1]>)| {
-            let time = Time(*time_ns);
-            let [motor_speed] = (*motor)?;
-            let inertial = inertial.map(|[forward, left, yaw_rate]| InertialSample {
+/// The samples of the board: one for each sample of the IMU, if the speed of the motor is known then, or
+/// without an IMU for each one of the motor. With them, how many of the IMU are left out.
+fn board_samples(log: &Log) -> (Vec<BoardSample>, u64) {
+    let sample = |time_ns, inertial: Option<[f64; 3]>, [motor_speed]: [f64; 1]| {
+        let time = Time(time_ns);
+        BoardSample {
+            time,
+            inertial: inertial.map(|[forward, left, yaw_rate]| InertialSample {
                 time,
                 yaw_rate,
                 forward_acceleration: forward,
                 left_acceleration: left,
-            });
-            let state = match log.is_driving(*time_ns) {
+            }),
+            motor_speed,
+            state: match log.is_driving(time_ns) {
                 true => BoardState::Driving,
                 false => BoardState::Neutral,
-            };
-            Some(BoardSample {
-                time,
-                inertial,
-                motor_speed,
-                state,
-            })
-        };
-        let samples: Vec<_> = rows.iter().filter_map(sample).collect();
-        Self {
-            without_motor_speed: (rows.len() - samples.len()) as u64,
-            samples,
+            },
         }
-    }
+    };
+    let Some(inertial) = &log.inertial else {
+        let motor = log.motor_speed.resampled().into_iter();
+        let samples = motor.map(|it| sample(it.time_ns, None, it.values));
+        return (samples.collect(), 0);
+    };
+    let all = inertial.resampled();
+    let samples = all.iter().filter_map(|it| {
+        let motor_speed = log.motor_speed.at(it.time_ns)?;
+        Some(sample(it.time_ns, Some(it.values), motor_speed))
+    });
+    let samples: Vec<_> = samples.collect();
+    let left_out = all.len() - samples.len();
+    (samples, left_out as u64)
 }

@@ -34,136 +34,57 @@ pub(super) enum Fault {
     },
 }
 
-/// What is found at a field.
+/// A message, a field of one, or an element of a list.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Found {
-    Number(f64),
-    Stamp {
-        seconds: i32,
-        nanoseconds: u32,
-    },
-    /// No element of a list has the name, but these.
-    Absent(Vec<String>),
-}
-
-/// A field within a message, as [`Path`](super::path::Path) is resolved.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Target {
-    pub(super) steps: Vec<Step>,
-    pub(super) end: End,
-}
-
-/// One message deeper.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Step {
-    /// The field, by its place.
-    pub(super) field: usize,
-    pub(super) pick: Pick,
-}
-
-/// Which element of a field.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Pick {
-    Whole,
-    /// The element at a place in the list of this name.
-    Index {
-        list: String,
-        index: u32,
-    },
-    /// The first one in which a field, by its place, is this text.
-    Named {
-        key: usize,
-        value: String,
-    },
-}
-
-/// What is made of a field.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum End {
-    Number,
-    /// The yaw of a quaternion.
-    Yaw,
-    /// Seconds and nanoseconds.
-    Stamp,
-}
-
-/// A field of a message.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Value {
+pub(super) enum Value<'a> {
     Number(f64),
     Text(String),
-    /// The fields of a message, or the elements of a list.
-    Parts(Vec<Self>),
+    /// The fields of a message with their values; of a list its elements, without fields.
+    Parts(&'a [Field], Vec<Self>),
 }
 
-impl Value {
-    fn parts(&self) -> &[Self] {
+impl Value<'_> {
+    pub(super) fn parts(&self) -> &[Self] {
         match self {
-            Self::Parts(parts) => parts,
+            Self::Parts(_, parts) => parts,
             Self::Number(_) | Self::Text(_) => &[],
         }
     }
 
-    fn part(&self, place: usize) -> &Self {
-        const ABSENT: &Value = &Value::Number(f64::NAN);
-        self.parts().get(place).unwrap_or(ABSENT)
+    /// A field of this message.
+    pub(super) fn field(&self, name: &str) -> &Self {
+        const ABSENT: &Value<'_> = &Value::Number(f64::NAN);
+        let Self::Parts(fields, parts) = self else {
+            return ABSENT;
+        };
+        let mut fields = fields.iter().zip(parts);
+        let found = fields.find(|(field, _)| field.name == name);
+        found.map_or(ABSENT, |(_, part)| part)
     }
 
-    const fn number(&self) -> f64 {
+    /// The number, or the yaw of a quaternion.
+    pub(super) fn number(&self) -> f64 {
         match self {
             Self::Number(number) => *number,
-            Self::Text(_) | Self::Parts(_) => f64::NAN,
+            Self::Parts(_, parts) => match &parts[..] {
+                [x, y, z, w] => yaw([x, y, z, w].map(Self::number)),
+                _ => f64::NAN,
+            },
+            Self::Text(_) => f64::NAN,
         }
     }
 
-    fn text(&self) -> &str {
+    pub(super) fn text(&self) -> &str {
         match self {
             Self::Text(text) => text,
-            Self::Number(_) | Self::Parts(_) => "",
+            Self::Number(_) | Self::Parts(..) => "",
         }
-    }
-
-    /// What is at a field of this message.
-    pub(super) fn find(&self, target: &Target) -> Result<Found, Fault> {
-        let mut value = self;
-        for Step { field, pick } in &target.steps {
-            value = value.part(*field);
-            let elements = value.parts();
-            match pick {
-                Pick::Whole => {}
-                Pick::Index { list, index } => {
-                    value = elements
-                        .get(*index as usize)
-                        .ok_or_else(|| Fault::Element {
-                            list: list.clone(),
-                            count: elements.len(),
-                            index: *index,
-                        })?;
-                }
-                Pick::Named { key, value: name } => {
-                    let is_named = |one: &&Self| one.part(*key).text() == name;
-                    let Some(named) = elements.iter().find(is_named) else {
-                        let names = elements.iter().map(|one| one.part(*key).text().to_owned());
-                        return Ok(Found::Absent(names.collect()));
-                    };
-                    value = named;
-                }
-            }
-        }
-        Ok(match target.end {
-            End::Number => Found::Number(value.number()),
-            End::Yaw => Found::Number(yaw([0, 1, 2, 3].map(|part| value.part(part).number()))),
-            End::Stamp => Found::Stamp {
-                seconds: value.part(0).number() as i32,
-                nanoseconds: value.part(1).number() as u32,
-            },
-        })
     }
 }
 
 /// The fields of a message of this type, after its header. Fails unless the message is as long as its
 /// type; writers may fill its last word.
-pub(super) fn decode(message: &[u8], definition: &Definition) -> Result<Value, Fault> {
+pub(super) fn decode<'a>(message: &[u8], definition: &'a Definition) -> Result<Value<'a>, Fault> {
     const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
     let head = message.get(..4).unwrap_or(message);
     let big_endian = match head {
@@ -192,29 +113,33 @@ struct Reader<'a> {
     big_endian: bool,
 }
 
-impl<'a> Reader<'a> {
-    fn message(&mut self, definition: &Definition, message: usize) -> Result<Value, Fault> {
+impl Reader<'_> {
+    fn message<'d>(
+        &mut self,
+        definition: &'d Definition,
+        message: usize,
+    ) -> Result<Value<'d>, Fault> {
         let fields = definition.fields_of(message);
         if fields.is_empty() {
             // A message without fields has a byte all the same.
             self.take(1)?;
         }
-        let fields = fields.iter().map(|field| self.field(definition, field));
-        Ok(Value::Parts(fields.collect::<Result<_, _>>()?))
+        let parts = fields.iter().map(|field| self.field(definition, field));
+        Ok(Value::Parts(fields, parts.collect::<Result<_, _>>()?))
     }
 
     /// Each element of a list has at least a byte: a false length ends with the message.
-    fn field(&mut self, definition: &Definition, field: &Field) -> Result<Value, Fault> {
+    fn field<'d>(&mut self, definition: &'d Definition, field: &Field) -> Result<Value<'d>, Fault> {
         let count = match field.count {
             Count::One => return self.value(definition, field.kind),
             Count::Array(length) => length,
             Count::Sequence => self.length()?,
         };
         let elements = (0..count).map(|_| self.value(definition, field.kind));
-        Ok(Value::Parts(elements.collect::<Result<_, _>>()?))
+        Ok(Value::Parts(&[], elements.collect::<Result<_, _>>()?))
     }
 
-    fn value(&mut self, definition: &Definition, kind: Kind) -> Result<Value, Fault> {
+    fn value<'d>(&mut self, definition: &'d Definition, kind: Kind) -> Result<Value<'d>, Fault> {
         Ok(Value::Number(match kind {
             Kind::Text => {
                 let length = self.length()?;
@@ -253,7 +178,7 @@ impl<'a> Reader<'a> {
         Ok(word)
     }
 
-    fn take(&mut self, length: usize) -> Result<&'a [u8], Fault> {
+    fn take(&mut self, length: usize) -> Result<&[u8], Fault> {
         let end = self.at.saturating_add(length);
         let bytes = self.bytes.get(self.at..end);
         self.at = end;
@@ -279,14 +204,10 @@ fn yaw([x, y, z, w]: [f64; 4]) -> f64 {
 mod tests {
     #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-    use super::*;
-
-    fn target(field: usize, pick: Pick, end: End) -> Target {
-        Target {
-            steps: vec![Step { field, pick }],
-            end,
-        }
-    }
+    use super::{
+        super::{path::Takes, wanted::Wanted},
+        *,
+    };
 
     #[test]
     fn numbers_are_aligned_in_either_byte_order() {
@@ -295,21 +216,14 @@ mod tests {
         let big = b"\0\0\0\0\x07.......\x3f\xf8\0\0\0\0\0\0\0\0\0\x02\xff\xff\0\x05";
         for message in [&little[..], &big[..]] {
             let decoded = decode(message, &definition).unwrap();
-            let element = |index| Pick::Index {
-                list: "c".to_owned(),
-                index,
-            };
-            for (field, pick, value) in [
-                (0, Pick::Whole, 7.0),
-                (1, Pick::Whole, 1.5),
-                (2, element(0), -1.0),
-                (2, element(1), 5.0),
-            ] {
-                let found = decoded.find(&target(field, pick, End::Number));
-                assert_eq!(found, Ok(Found::Number(value)));
+            let wanted = |path| Wanted::new(String::new(), path, Takes::Number).unwrap();
+            for (path, value) in [("a", 7.0), ("b", 1.5), ("c[0]", -1.0), ("c[1]", 5.0)] {
+                let mut wanted = wanted(path);
+                let found = wanted.find(&decoded);
+                assert_eq!(found, Ok(Some(&Value::Number(value))));
+                assert!(wanted.is_found);
             }
-            let beyond = target(2, element(2), End::Number);
-            let error = decoded.find(&beyond).unwrap_err().to_string();
+            let error = wanted("c[2]").find(&decoded).unwrap_err().to_string();
             assert_eq!(
                 error,
                 "has 2 elements in c, and the map names number 2, counted from 0"

@@ -63,18 +63,11 @@ impl Definition {
     /// if it is not there either, or can't be understood.
     pub(super) fn parse(name: &str, text: &str) -> Result<Self, String> {
         let name = short(name);
-        let mut texts: HashMap<String, &str> = parts(BUILT_IN).collect();
-        let mut own = parts(text);
+        let mut texts: HashMap<_, _> = parts(BUILT_IN).into_iter().collect();
         if !text.trim().is_empty() {
-            if let Some((first, text)) = own.next() {
-                texts.insert(
-                    if first.is_empty() {
-                        name.clone()
-                    } else {
-                        first
-                    },
-                    text,
-                );
+            let mut own = parts(text);
+            if let Some((first, _)) = own.first_mut().filter(|(first, _)| first.is_empty()) {
+                first.clone_from(&name);
             }
             texts.extend(own);
         }
@@ -87,24 +80,24 @@ impl Definition {
         let mut next = 0;
         while let Some(message) = definition.messages.get(next) {
             let name = message.name.clone();
-            let text = texts
-                .get(&name)
-                .ok_or_else(|| format!("{name} is not defined"))?;
-            let fields = definition.fields(&name, text)?;
+            let lines = texts.get(&name);
+            let lines = lines.ok_or_else(|| format!("{name} is not defined"))?;
+            let fields = definition.fields(&name, lines)?;
             if let Some(message) = definition.messages.get_mut(next) {
                 message.fields = fields;
             }
             next += 1;
         }
-        let mut depths = vec![None; definition.messages.len()];
-        definition.depth(0, 0, &mut depths)?;
-        Ok(definition)
+        match definition.is_too_deep() {
+            true => Err(format!("more than {MAX_DEPTH} messages are nested in it")),
+            false => Ok(definition),
+        }
     }
 
     /// The fields of the message `name`; messages in them that are new are added, without fields.
-    fn fields(&mut self, name: &str, text: &str) -> Result<Vec<Field>, String> {
+    fn fields(&mut self, name: &str, lines: &[&str]) -> Result<Vec<Field>, String> {
         let mut fields = Vec::new();
-        for line in text.lines() {
+        for line in lines {
             let line = line.split('#').next().unwrap_or_default();
             let mut words = line.split_whitespace();
             let (Some(kind), Some(field)) = (words.next(), words.next()) else {
@@ -177,31 +170,20 @@ impl Definition {
         Ok((kind, count))
     }
 
-    /// How deep messages are nested in this one, which is `above` others.
-    fn depth(
-        &self,
-        message: usize,
-        above: usize,
-        depths: &mut [Option<usize>],
-    ) -> Result<usize, String> {
-        if let Some(depth) = depths.get(message).copied().flatten()
-            && above + depth <= MAX_DEPTH
-        {
-            return Ok(depth);
+    /// Whether more messages are nested in it than may be; a message within itself has no end.
+    fn is_too_deep(&self) -> bool {
+        // The depth of each message, as far as it is known after so many rounds.
+        let mut depths = vec![0; self.messages.len()];
+        for _ in 0..=MAX_DEPTH {
+            let below = |field: &Field| match field.kind {
+                Kind::Message(inner) => depths.get(inner).map(|depth| depth + 1),
+                _ => None,
+            };
+            let depth = |message: &MessageType| message.fields.iter().filter_map(below).max();
+            let messages = self.messages.iter();
+            depths = messages.map(|one| depth(one).unwrap_or(0)).collect();
         }
-        if above > MAX_DEPTH {
-            return Err(format!("more than {MAX_DEPTH} messages are nested in it"));
-        }
-        let mut deepest = 0;
-        for field in self.fields_of(message) {
-            if let Kind::Message(inner) = field.kind {
-                deepest = deepest.max(1 + self.depth(inner, above + 1, depths)?);
-            }
-        }
-        if let Some(depth) = depths.get_mut(message) {
-            *depth = Some(deepest);
-        }
-        Ok(deepest)
+        depths.first().is_some_and(|depth| *depth > MAX_DEPTH)
     }
 
     /// The fields of one of the messages.
@@ -224,32 +206,22 @@ pub(super) fn short(name: &str) -> String {
     name.replacen("/msg/", "/", 1)
 }
 
-/// The definitions in a text, with their names; the first one need not have one.
-fn parts(text: &str) -> impl Iterator<Item = (String, &str)> {
-    let is_line = |line: &str| line.len() >= 3 && line.trim_end().bytes().all(|byte| byte == b'=');
-    let mut rest = Some(text);
-    std::iter::from_fn(move || {
-        let text = rest.take()?;
-        let mut at = 0;
-        let mut part = text;
-        for line in text.split_inclusive('\n') {
-            let end = at + line.len();
-            if is_line(line.trim_end()) {
-                part = text.get(..at).unwrap_or_default();
-                rest = text.get(end..);
-                break;
-            }
-            at = end;
+/// The definitions in a text, with their names and their lines; the first one need not have a name.
+fn parts(text: &str) -> Vec<(String, Vec<&str>)> {
+    let is_end = |line: &&str| {
+        let line = line.trim_end();
+        line.len() >= 3 && line.bytes().all(|byte| byte == b'=')
+    };
+    let lines: Vec<_> = text.lines().collect();
+    let parts = lines.split(is_end).map(|lines| {
+        let mut rest = lines.iter().skip_while(|line| line.trim().is_empty());
+        let first = rest.next().copied().unwrap_or_default();
+        match first.trim_start().strip_prefix("MSG:") {
+            Some(name) => (short(name.trim()), rest.copied().collect()),
+            None => (String::new(), lines.to_vec()),
         }
-        let named = part.trim_start().strip_prefix("MSG:");
-        Some(match named {
-            Some(named) => {
-                let (name, text) = named.split_once('\n').unwrap_or((named, ""));
-                (short(name.trim()), text)
-            }
-            None => (String::new(), part),
-        })
-    })
+    });
+    parts.collect()
 }
 
 #[cfg(test)]
@@ -289,7 +261,7 @@ mod tests {
 
     #[test]
     fn every_built_in_definition_is_whole() {
-        let names: Vec<_> = parts(BUILT_IN).map(|(name, _)| name).collect();
+        let names: Vec<_> = parts(BUILT_IN).into_iter().map(|(name, _)| name).collect();
         assert!(names.len() > 20);
         for name in names {
             let definition = Definition::parse(&name, "").unwrap();

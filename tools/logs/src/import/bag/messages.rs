@@ -4,14 +4,11 @@ use std::path::{Path, PathBuf};
 
 use super::{
     Seconds,
-    cdr::{self, Fault, Found, Target},
+    cdr::{self, Fault, Value},
     definition::{Definition, short},
-    wanted::{Entry, Row, Source, Sources, Wanted, message_error},
+    wanted::{Entry, Row, Source, Wanted, message_error},
 };
 use crate::import::log::{ImportError, JITTER_NS};
-
-/// Names of elements that are listed in an error, at most.
-const MAX_NAMES: usize = 20;
 
 /// What to do about a type without definition.
 const CONVERT: &str = "convert the bag with `ros2 bag convert` to MCAP where the type is installed";
@@ -34,7 +31,7 @@ pub(super) struct Topic<'a> {
 /// The messages that a map wants, from all files of a bag.
 pub(super) struct Messages {
     path: PathBuf,
-    sources: Sources,
+    sources: Vec<Source>,
     topics: Vec<KnownTopic>,
     plans: Vec<Plan>,
     entries: Vec<Entry>,
@@ -47,21 +44,14 @@ struct KnownTopic {
 }
 
 /// How the messages of a topic are read.
+#[derive(PartialEq)]
 struct Plan {
     topic: usize,
     definition: Definition,
-    readings: Vec<Reading>,
-}
-
-/// What a source takes of a message.
-struct Reading {
-    source: usize,
-    stamp: Option<Target>,
-    fields: Vec<Target>,
 }
 
 impl Messages {
-    pub(super) fn new(path: &Path, sources: Sources) -> Self {
+    pub(super) fn new(path: &Path, sources: Vec<Source>) -> Self {
         Self {
             path: path.to_owned(),
             sources,
@@ -88,9 +78,9 @@ impl Messages {
                 self.topics.len() - 1
             }
         };
-        let sources = self.sources.sources.iter().enumerate();
-        let wanted: Vec<_> = sources.filter(|(_, one)| one.topic == topic.name).collect();
-        if wanted.is_empty() {
+        let sources = self.sources.iter();
+        let mut sources = sources.filter(|one| one.topic == topic.name).peekable();
+        if sources.peek().is_none() {
             return Ok(None);
         }
         if let Some(other) = self.topics.get(place).filter(|one| one.kind != kind) {
@@ -119,36 +109,27 @@ impl Messages {
         };
         let definition =
             Definition::parse(&kind, text).map_err(|why| wrong(format!("{why}; {fix}")))?;
-        // Each file of a bag, and each publisher, describes the topic again.
-        let mut plans = self.plans.iter();
-        let same = |plan: &Plan| plan.topic == place && plan.definition == definition;
-        if let Some(plan) = plans.position(same) {
-            return Ok(Some(plan));
+        for Wanted {
+            key,
+            text,
+            path,
+            takes,
+            ..
+        } in sources.flat_map(Source::wanted)
+        {
+            path.check(&definition, *takes)
+                .map_err(|why| wrong(format!("{key} in the map names {text:?}: {why}")))?;
         }
-        let resolve = |wanted: &Wanted| {
-            let target = wanted.path.resolve(&definition, wanted.takes);
-            target.map_err(|why| {
-                let Wanted { key, text, .. } = wanted;
-                wrong(format!("{key} in the map names {text:?}: {why}"))
-            })
-        };
-        let mut readings = Vec::new();
-        for (place, source) in wanted {
-            let stamp = source.stamp.as_ref().map(resolve).transpose()?;
-            let fields = source.fields.iter().map(resolve);
-            let fields = fields.collect::<Result<_, _>>()?;
-            readings.push(Reading {
-                source: place,
-                stamp,
-                fields,
-            });
-        }
-        self.plans.push(Plan {
+        let plan = Plan {
             topic: place,
             definition,
-            readings,
-        });
-        Ok(Some(self.plans.len() - 1))
+        };
+        // Each file of a bag, and each publisher, describes the topic again.
+        let known = self.plans.iter().position(|one| *one == plan);
+        Ok(Some(known.unwrap_or_else(|| {
+            self.plans.push(plan);
+            self.plans.len() - 1
+        })))
     }
 
     /// Takes a message.
@@ -169,25 +150,14 @@ impl Messages {
         let wrong = |why: String| message_error(&self.path, &topic.name, number, receive_ns, &why);
         let failed = |fault: Fault| wrong(format!(" {fault}"));
         let message = cdr::decode(bytes, &plan.definition).map_err(failed)?;
-        for Reading {
-            source: place,
-            stamp,
-            fields,
-        } in &plan.readings
-        {
-            let Some(source) = self.sources.sources.get_mut(*place) else {
-                continue;
-            };
-            let mut values = Vec::with_capacity(fields.len());
-            for (target, wanted) in fields.iter().zip(&mut source.fields) {
-                let found = message.find(target).map_err(failed)?;
-                values.push(match found {
-                    Found::Number(value) => Some(value),
-                    Found::Stamp { .. } | Found::Absent(_) => None,
-                });
-                wanted.note(found);
+        let sources = self.sources.iter_mut().enumerate();
+        for (place, source) in sources.filter(|(_, one)| one.topic == topic.name) {
+            let mut values = Vec::with_capacity(source.fields.len());
+            for wanted in &mut source.fields {
+                let found = wanted.find(&message).map_err(failed)?;
+                values.push(found.map(Value::number));
             }
-            let stamp_ns = match stamp.as_ref().zip(source.stamp.as_mut()) {
+            let stamp_ns = match &mut source.stamp {
                 None if receive_ns > LATEST_NS => {
                     return Err(wrong(
                         ": its time of reception is later than the year 2262: the recorder's clock was \
@@ -197,18 +167,17 @@ impl Messages {
                     ));
                 }
                 None => receive_ns,
-                Some((target, wanted)) => {
-                    let found = message.find(target).map_err(failed)?;
-                    let stamp_ns = stamp_ns(&found)
-                        .map_err(|fault| wrong(format!(": its {} {fault}", wanted.text)))?;
-                    wanted.note(found);
+                Some(wanted) => {
                     // Without one, the message is about other bodies.
-                    let Some(stamp_ns) = stamp_ns else { continue };
-                    stamp_ns
+                    let Some(found) = wanted.find(&message).map_err(failed)? else {
+                        continue;
+                    };
+                    stamp_ns(found)
+                        .map_err(|fault| wrong(format!(": its {} {fault}", wanted.text)))?
                 }
             };
             self.entries.push(Entry {
-                source: *place,
+                source: place,
                 number,
                 // One that can't be right puts the message nowhere.
                 receive_ns: if receive_ns > LATEST_NS {
@@ -227,7 +196,7 @@ impl Messages {
     /// times of a source go backwards, or if two messages are farther apart than the longest gap.
     /// Returns how many were not in their order, by a little.
     pub(super) fn sort(&mut self, longest_gap_ns: u64) -> Result<u64, ImportError> {
-        for source in &self.sources.sources {
+        for source in &self.sources {
             self.check(source)?;
         }
         // A file is written in the order of reception, also by a recorder whose clock is wrong; of
@@ -273,8 +242,7 @@ impl Messages {
             );
             return Err(ImportError::file(&self.path, why));
         }
-        let mut wanted = source.fields.iter().chain(&source.stamp);
-        match wanted.find(|wanted| !wanted.is_found) {
+        match source.wanted().find(|wanted| !wanted.is_found) {
             None => Ok(()),
             Some(wanted) => {
                 let names = wanted.names.iter().map(|name| format!("{name:?}"));
@@ -293,7 +261,7 @@ impl Messages {
     /// a source go backwards.
     fn check_order(&self) -> Result<u64, ImportError> {
         let mut disordered = 0;
-        let mut last = vec![0; self.sources.sources.len()];
+        let mut last = vec![0; self.sources.len()];
         for entry in &self.entries {
             let Some(last) = last.get_mut(entry.source) else {
                 continue;
@@ -332,7 +300,7 @@ impl Messages {
     }
 
     fn time_error(&self, entry: &Entry, fault: &str) -> ImportError {
-        let source = self.sources.sources.get(entry.source);
+        let source = self.sources.get(entry.source);
         let stamp = source.and_then(|source| source.stamp.as_ref());
         let stamp = stamp.map_or("time of reception", |wanted| &wanted.text);
         entry.error(&self.path, &self.sources, &format!(": its {stamp} {fault}"))
@@ -344,45 +312,21 @@ fn topic_error(path: &Path, topic: &str, kind: &str, why: &str) -> ImportError {
     ImportError::file(path, format!(", topic {topic:?} of type {kind}: {why}"))
 }
 
-impl Wanted {
-    /// Takes down what a message has.
-    fn note(&mut self, found: Found) {
-        match found {
-            Found::Number(_) | Found::Stamp { .. } => self.is_found = true,
-            Found::Absent(names) if !self.is_found => {
-                for name in names {
-                    if self.names.len() < MAX_NAMES {
-                        self.names.insert(name);
-                    }
-                }
-            }
-            Found::Absent(_) => {}
-        }
-    }
-}
-
-/// A time of a message in ns since 1970; `None` if the message has none, or the reason why it can't be
-/// right.
-fn stamp_ns(found: &Found) -> Result<Option<u64>, &'static str> {
-    let Found::Stamp {
-        seconds,
-        nanoseconds,
-    } = found
-    else {
-        return Ok(None);
-    };
-    match (u64::try_from(*seconds), *nanoseconds) {
-        (Ok(0), 0) => Err(
+/// A time of a message in ns since 1970, or the reason why it can't be right.
+fn stamp_ns(time: &Value<'_>) -> Result<u64, &'static str> {
+    let part = |part| time.parts().get(part).map_or(0.0, Value::number) as i64;
+    match (part(0), part(1)) {
+        (0, 0) => Err(
             "is 0: its node does not set it; stamp = \"receive\" in the map takes the time of reception",
         ),
-        (Err(_), _) => {
+        (..0, _) => {
             Err("is before 1970: the message is damaged, or of another version of its type")
         }
         (_, 1_000_000_000..) => Err(
             "has more than a second of nanoseconds: the message is damaged, or of another version of \
                  its type",
         ),
-        (Ok(seconds), nanoseconds) => Ok(Some(seconds * 1_000_000_000 + u64::from(nanoseconds))),
+        (seconds, nanoseconds) => Ok((seconds * 1_000_000_000 + nanoseconds).cast_unsigned()),
     }
 }
 

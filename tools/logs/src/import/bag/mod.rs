@@ -22,11 +22,10 @@ use super::{
 };
 use files::Storage;
 use messages::Messages;
-use wanted::Sources;
 
 /// Reads the bag `path` as `map` says.
 pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
-    let mut sources = Sources::default();
+    let mut sources = Vec::new();
     let mut columns = Columns::find(&mut sources, map)?;
     let mut messages = Messages::new(path, sources);
     for (file, storage) in files::files(path)? {

@@ -1,26 +1,28 @@
 //! Fields of messages, as a map names them: `twist.twist.linear.x`, `buttons[4]`,
 //! `rigidbodies[rigid_body_name=car].pose.position.x`.
 
-use super::{
-    cdr::{End, Pick, Step, Target},
-    definition::{Count, Definition, Field, Kind},
-};
+use super::definition::{Count, Definition, Field, Kind};
 
 /// A field by its name, from the message inwards.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Path(Vec<Part>);
+pub(super) struct Path(pub(super) Vec<Part>);
 
+/// A field, or an element of it if it is a list.
 #[derive(Clone, Debug, PartialEq)]
-struct Part {
-    field: String,
-    element: Option<Element>,
+pub(super) struct Part {
+    pub(super) field: String,
+    pub(super) element: Option<Element>,
 }
 
 /// An element of a list.
 #[derive(Clone, Debug, PartialEq)]
-enum Element {
+pub(super) enum Element {
     Index(u32),
-    Named { key: String, value: String },
+    /// The first one in which the field `key` is this text.
+    Named {
+        key: String,
+        value: String,
+    },
 }
 
 /// What a key of the map takes.
@@ -62,48 +64,37 @@ impl Path {
         }
     }
 
-    /// The field in messages of this type; the reason if there is no such field, or none that the key
-    /// can take.
-    pub(super) fn resolve(&self, definition: &Definition, takes: Takes) -> Result<Target, String> {
+    /// Fails if messages of this type have no such field, or none that the key can take.
+    pub(super) fn check(&self, definition: &Definition, takes: Takes) -> Result<(), String> {
         // The message itself, and of the last field its name and what it is.
         let (mut before, mut kind) = ("", Kind::Message(0));
-        let mut steps = Vec::new();
         for Part { field, element } in &self.0 {
             let Kind::Message(message) = kind else {
                 return Err(format!("{before} has no fields"));
             };
-            let (place, found) = find(definition, message, field)?;
-            let pick = match (element, found.count) {
-                (None, Count::One) => Pick::Whole,
+            let found = find(definition, message, field)?;
+            match (element, found.count) {
+                (None, Count::One) => {}
                 (None, _) => {
                     return Err(format!(
                         "{field} is a list: name an element, such as {field}[0]"
                     ));
                 }
                 (Some(_), Count::One) => return Err(format!("{field} is no list")),
-                (Some(Element::Index(index)), _) => Pick::Index {
-                    list: field.clone(),
-                    index: *index,
-                },
-                (Some(Element::Named { key, value }), _) => {
+                (Some(Element::Index(_)), _) => {}
+                (Some(Element::Named { key, .. }), _) => {
                     let Kind::Message(inner) = found.kind else {
                         return Err(format!("{field} has no fields, such as {key}"));
                     };
-                    let (key, found) = find(definition, inner, key)?;
-                    if (found.kind, found.count) != (Kind::Text, Count::One) {
-                        return Err(format!("{} is not a text", found.name));
-                    }
-                    Pick::Named {
-                        key,
-                        value: value.clone(),
+                    let key = find(definition, inner, key)?;
+                    if (key.kind, key.count) != (Kind::Text, Count::One) {
+                        return Err(format!("{} is not a text", key.name));
                     }
                 }
-            };
-            steps.push(Step { field: place, pick });
+            }
             (before, kind) = (field, found.kind);
         }
-        let end = end(definition, kind, takes)?;
-        Ok(Target { steps, end })
+        check_end(definition, kind, takes)
     }
 }
 
@@ -120,48 +111,41 @@ impl Element {
     }
 }
 
-fn find<'a>(
-    definition: &'a Definition,
-    message: usize,
-    name: &str,
-) -> Result<(usize, &'a Field), String> {
+fn find<'a>(definition: &'a Definition, message: usize, name: &str) -> Result<&'a Field, String> {
     let fields = definition.fields_of(message);
-    let mut places = fields.iter().enumerate();
-    places.find(|(_, field)| field.name == name).ok_or_else(|| {
+    let found = fields.iter().find(|field| field.name == name);
+    found.ok_or_else(|| {
         let names: Vec<_> = fields.iter().map(|field| field.name.as_str()).collect();
         let (of, names) = (definition.name_of(message), names.join(", "));
         format!("{of} has no {name}, its fields are {names}")
     })
 }
 
-/// What is read of a field of this kind.
-fn end(definition: &Definition, kind: Kind, takes: Takes) -> Result<End, String> {
-    let what = match kind {
-        Kind::Text => "a text".to_owned(),
-        Kind::Message(inner) => format!("a {}", definition.name_of(inner)),
-        _ => "a number".to_owned(),
+/// Fails if the key can't take a field of this kind.
+fn check_end(definition: &Definition, kind: Kind, takes: Takes) -> Result<(), String> {
+    let (what, fields) = match kind {
+        Kind::Text => ("a text".to_owned(), &[][..]),
+        Kind::Message(inner) => (
+            format!("a {}", definition.name_of(inner)),
+            definition.fields_of(inner),
+        ),
+        _ => ("a number".to_owned(), &[][..]),
     };
-    let fields = match kind {
-        Kind::Message(inner) => definition.fields_of(inner),
-        _ => &[],
+    let is_one = |field: &Field, kind| (field.kind, field.count) == (kind, Count::One);
+    let is_taken = match (takes, kind, fields) {
+        (Takes::Number | Takes::Yaw, kind, []) => !matches!(kind, Kind::Text | Kind::Message(_)),
+        (Takes::Yaw, _, [x, y, z, w]) => [(x, "x"), (y, "y"), (z, "z"), (w, "w")]
+            .iter()
+            .all(|(field, name)| field.name == *name && is_one(field, Kind::Float(8))),
+        (Takes::Stamp, Kind::Message(inner), [seconds, nanoseconds]) => {
+            definition.name_of(inner) == "builtin_interfaces/Time"
+                && is_one(seconds, Kind::Signed(4))
+                && is_one(nanoseconds, Kind::Unsigned(4))
+        }
+        _ => false,
     };
-    let part = |field: &Field| (field.kind, field.count);
-    match (takes, kind, fields) {
-        (Takes::Yaw, _, [x, y, z, w])
-            if [x, y, z, w].map(|field| field.name.as_str()) == ["x", "y", "z", "w"]
-                && [x, y, z, w].map(part) == [(Kind::Float(8), Count::One); 4] =>
-        {
-            return Ok(End::Yaw);
-        }
-        (Takes::Stamp, Kind::Message(inner), [seconds, nanoseconds])
-            if definition.name_of(inner) == "builtin_interfaces/Time"
-                && part(seconds) == (Kind::Signed(4), Count::One)
-                && part(nanoseconds) == (Kind::Unsigned(4), Count::One) =>
-        {
-            return Ok(End::Stamp);
-        }
-        (_, Kind::Text | Kind::Message(_), _) | (Takes::Stamp, ..) => {}
-        (Takes::Number | Takes::Yaw, ..) => return Ok(End::Number),
+    if is_taken {
+        return Ok(());
     }
     let needed = match takes {
         Takes::Number => "a number",
@@ -177,36 +161,36 @@ mod tests {
 
     use super::*;
 
-    fn resolved(name: &str, path: &str, takes: Takes) -> Result<Target, String> {
+    fn checked(name: &str, path: &str, takes: Takes) -> Result<(), String> {
         let definition = Definition::parse(name, "").unwrap();
-        Path::parse(path).unwrap().resolve(&definition, takes)
+        Path::parse(path).unwrap().check(&definition, takes)
     }
 
     #[test]
     fn a_path_leads_to_a_number_a_yaw_or_a_time() {
-        let body = "rigidbodies[rigid_body_name=a.b].pose";
-        let target = resolved(
-            "mocap4r2_msgs/msg/RigidBodies",
-            &format!("{body}.orientation"),
-            Takes::Yaw,
-        );
-        let named = Pick::Named {
-            key: 0,
+        let yaw = "rigidbodies[rigid_body_name=a.b].pose.orientation";
+        let named = Element::Named {
+            key: "rigid_body_name".to_owned(),
             value: "a.b".to_owned(),
         };
-        let steps = [(2, named), (2, Pick::Whole), (1, Pick::Whole)];
-        let steps = steps.map(|(field, pick)| Step { field, pick }).to_vec();
-        assert_eq!(
-            target,
-            Ok(Target {
-                steps,
-                end: End::Yaw
-            })
-        );
-        let button = resolved("sensor_msgs/Joy", "buttons[4]", Takes::Number).unwrap();
-        assert_eq!(button.end, End::Number);
-        let stamp = resolved("sensor_msgs/Joy", "header.stamp", Takes::Stamp).unwrap();
-        assert_eq!(stamp.end, End::Stamp);
+        let part = |(field, element): (&str, Option<Element>)| Part {
+            field: field.to_owned(),
+            element,
+        };
+        let parts = [
+            ("rigidbodies", Some(named)),
+            ("pose", None),
+            ("orientation", None),
+        ];
+        let expected = Path(parts.map(part).to_vec());
+        assert_eq!(Path::parse(yaw), Some(expected));
+        for (name, path, takes) in [
+            ("mocap4r2_msgs/msg/RigidBodies", yaw, Takes::Yaw),
+            ("sensor_msgs/Joy", "buttons[4]", Takes::Number),
+            ("sensor_msgs/Joy", "header.stamp", Takes::Stamp),
+        ] {
+            assert_eq!(checked(name, path, takes), Ok(()), "{path}");
+        }
     }
 
     #[test]
@@ -245,7 +229,7 @@ mod tests {
                 "axes has no fields, such as name",
             ),
         ] {
-            let error = resolved("sensor_msgs/Joy", path, takes).unwrap_err();
+            let error = checked("sensor_msgs/Joy", path, takes).unwrap_err();
             assert_eq!(error, expected);
         }
         for path in [

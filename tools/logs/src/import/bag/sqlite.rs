@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use rusqlite::{Connection, OpenFlags, limits::Limit};
+use rusqlite::{Connection, OpenFlags, Row, limits::Limit};
 
 use super::{
     messages::{Messages, Topic},
@@ -39,18 +39,26 @@ pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportErr
     }
     let is_closed = !has_shared && !is_filled("-journal");
     let connection = open(path, metadata.len(), is_closed).map_err(failed)?;
-    let tables = tables(&connection).map_err(failed)?;
+    // Views and virtual tables, which run code, are none.
+    let query = "SELECT name FROM sqlite_schema WHERE type = 'table' AND rootpage > 0";
+    let tables: Vec<String> = all(&connection, query, |row| row.get(0)).map_err(failed)?;
     let has = |name: &str| tables.iter().any(|table| table == name);
     if !has("topics") || !has("messages") {
         let why = "it has no tables `topics` and `messages`: it is no bag of ROS 2";
         return Err(damaged(why.to_owned()));
     }
-    let definitions = match has("message_definitions") {
-        true => definitions(&connection).map_err(failed)?,
+    // Language and text of the definition of each type.
+    let query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions";
+    let row = |row: &Row<'_>| Ok((row.get(0)?, [row.get(1)?, row.get(2)?]));
+    let definitions: HashMap<String, [String; 2]> = match has("message_definitions") {
+        true => all(&connection, query, row).map_err(failed)?,
         false => HashMap::new(),
     };
+    let query = "SELECT id, name, type, serialization_format FROM topics ORDER BY id";
+    let row = |row: &Row<'_>| Ok((row.get(0)?, [row.get(1)?, row.get(2)?, row.get(3)?]));
+    let topics: Vec<(i64, [String; 3])> = all(&connection, query, row).map_err(failed)?;
     let mut ids = HashMap::new();
-    for (id, [name, kind, encoding]) in topics(&connection).map_err(failed)? {
+    for (id, [name, kind, encoding]) in topics {
         let definition = definitions.get(&kind);
         let topic = Topic {
             name: &name,
@@ -117,27 +125,11 @@ fn escaped(path: &Path) -> String {
     text
 }
 
-/// The names of the tables; views and virtual tables, which run code, are none.
-fn tables(connection: &Connection) -> rusqlite::Result<Vec<String>> {
-    let query = "SELECT name FROM sqlite_schema WHERE type = 'table' AND rootpage > 0";
-    let mut statement = connection.prepare(query)?;
-    statement.query_map([], |row| row.get(0))?.collect()
-}
-
-/// Identifier, name, type and encoding of each topic.
-fn topics(connection: &Connection) -> rusqlite::Result<Vec<(i64, [String; 3])>> {
-    let query = "SELECT id, name, type, serialization_format FROM topics ORDER BY id";
-    let mut statement = connection.prepare(query)?;
-    let rows = statement.query_map([], |row| {
-        Ok((row.get(0)?, [row.get(1)?, row.get(2)?, row.get(3)?]))
-    })?;
-    rows.collect()
-}
-
-/// Language and text of the definition of each type.
-fn definitions(connection: &Connection) -> rusqlite::Result<HashMap<String, [String; 2]>> {
-    let query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions";
-    let mut statement = connection.prepare(query)?;
-    let rows = statement.query_map([], |row| Ok((row.get(0)?, [row.get(1)?, row.get(2)?])))?;
-    rows.collect()
+/// All rows of a query.
+fn all<T, All: FromIterator<T>>(
+    connection: &Connection,
+    query: &str,
+    row: impl FnMut(&Row<'_>) -> rusqlite::Result<T>,
+) -> rusqlite::Result<All> {
+    connection.prepare(query)?.query_map([], row)?.collect()
 }

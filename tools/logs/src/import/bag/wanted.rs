@@ -4,13 +4,17 @@ use std::{collections::BTreeSet, path};
 
 use super::{
     Seconds,
-    path::{Path, Takes},
+    cdr::{Fault, Value},
+    path::{Element, Part, Path, Takes},
 };
 use crate::import::{
     log::ImportError,
-    map::{Messages, Stamp},
+    map::Messages,
     row::{self, Cell, Header, Place},
 };
+
+/// Names of elements that are listed in an error, at most.
+const MAX_NAMES: usize = 20;
 
 /// The messages that a section of the map is about.
 pub(super) struct Source {
@@ -36,13 +40,25 @@ pub(super) struct Wanted {
     pub(super) names: BTreeSet<String>,
 }
 
-/// The sources of a map; a place in their rows is that of a source and of one of its fields.
-#[derive(Default)]
-pub(super) struct Sources {
-    pub(super) sources: Vec<Source>,
-}
-
 impl Source {
+    fn new(messages: Messages<'_>) -> Result<Self, ImportError> {
+        let stamp = messages.stamp().map(|field| {
+            let key = format!("{}.stamp", messages.section);
+            Wanted::new(key, field, Takes::Stamp)
+        });
+        Ok(Self {
+            section: messages.section,
+            topic: messages.topic().to_owned(),
+            stamp: stamp.transpose()?,
+            fields: Vec::new(),
+        })
+    }
+
+    /// All that it takes of a message.
+    pub(super) fn wanted(&self) -> impl Iterator<Item = &Wanted> {
+        self.fields.iter().chain(&self.stamp)
+    }
+
     /// The key of the topic in the map.
     pub(super) fn key(&self) -> String {
         format!("{}.topic", self.section)
@@ -50,7 +66,7 @@ impl Source {
 }
 
 impl Wanted {
-    fn new(key: String, text: &str, takes: Takes) -> Result<Self, ImportError> {
+    pub(super) fn new(key: String, text: &str, takes: Takes) -> Result<Self, ImportError> {
         let path = Path::parse(text).ok_or_else(|| {
             ImportError::Invalid(format!(
                 "{key} in the map is {text:?}: write a field as a.b, a[0].b or a[name=x].b"
@@ -65,35 +81,48 @@ impl Wanted {
             names: BTreeSet::new(),
         })
     }
-}
 
-impl Sources {
-    /// The place of the source of a section.
-    fn source(&mut self, messages: Messages<'_>) -> Result<usize, ImportError> {
-        let section = messages.section;
-        let mut known = self.sources.iter();
-        if let Some(place) = known.position(|source| source.section == section) {
-            return Ok(place);
+    /// What a message has of it; `None` if no element of a list has the name.
+    pub(super) fn find<'a, 'd>(
+        &mut self,
+        message: &'a Value<'d>,
+    ) -> Result<Option<&'a Value<'d>>, Fault> {
+        let mut value = message;
+        for Part { field, element } in &self.path.0 {
+            value = value.field(field);
+            let elements = value.parts();
+            value = match element {
+                None => value,
+                Some(Element::Index(index)) => {
+                    elements
+                        .get(*index as usize)
+                        .ok_or_else(|| Fault::Element {
+                            list: field.clone(),
+                            count: elements.len(),
+                            index: *index,
+                        })?
+                }
+                Some(Element::Named { key, value: name }) => {
+                    let is_named = |one: &&Value<'_>| one.field(key).text() == name;
+                    let Some(named) = elements.iter().find(is_named) else {
+                        for other in elements.iter().filter(|_| !self.is_found) {
+                            if self.names.len() < MAX_NAMES {
+                                self.names.insert(other.field(key).text().to_owned());
+                            }
+                        }
+                        return Ok(None);
+                    };
+                    named
+                }
+            };
         }
-        let topic = messages.topic().to_owned();
-        let stamp = match messages.stamp() {
-            Stamp::Receive => None,
-            Stamp::Field(field) => {
-                let key = format!("{section}.stamp");
-                Some(Wanted::new(key, field, Takes::Stamp)?)
-            }
-        };
-        self.sources.push(Source {
-            section,
-            topic,
-            stamp,
-            fields: Vec::new(),
-        });
-        Ok(self.sources.len() - 1)
+        self.is_found = true;
+        Ok(Some(value))
     }
 }
 
-impl Header for Sources {
+/// The sources of a map; a place in their rows is that of a source and of one of its fields.
+impl Header for Vec<Source> {
     fn find(
         &mut self,
         key: &'static str,
@@ -105,15 +134,19 @@ impl Header for Sources {
             _ => Takes::Number,
         };
         let wanted = Wanted::new(key.to_owned(), field, takes)?;
-        let place = self.source(messages)?;
-        let mut index = 0;
-        if let Some(source) = self.sources.get_mut(place) {
-            index = source.fields.len();
-            source.fields.push(wanted);
-        }
+        let mut known = self.iter();
+        let place = match known.position(|source| source.section == messages.section) {
+            Some(place) => place,
+            None => {
+                self.push(Source::new(messages)?);
+                self.len() - 1
+            }
+        };
+        let fields = &mut self[place].fields;
+        fields.push(wanted);
         Ok(Place {
             source: place,
-            index,
+            index: fields.len() - 1,
         })
     }
 }
@@ -134,13 +167,13 @@ pub(super) struct Entry {
 
 impl Entry {
     /// The topic of the message, in errors.
-    pub(super) fn topic<'a>(&self, sources: &'a Sources) -> &'a str {
-        let source = sources.sources.get(self.source);
+    pub(super) fn topic<'a>(&self, sources: &'a [Source]) -> &'a str {
+        let source = sources.get(self.source);
         source.map_or("", |source| &source.topic)
     }
 
     /// An error in the message.
-    pub(super) fn error(&self, path: &path::Path, sources: &Sources, why: &str) -> ImportError {
+    pub(super) fn error(&self, path: &path::Path, sources: &[Source], why: &str) -> ImportError {
         message_error(path, self.topic(sources), self.number, self.receive_ns, why)
     }
 }
@@ -162,7 +195,7 @@ pub(super) fn message_error(
 /// A row: a message with its values.
 pub(super) struct Row<'a> {
     pub(super) path: &'a path::Path,
-    pub(super) sources: &'a Sources,
+    pub(super) sources: &'a [Source],
     pub(super) entry: &'a Entry,
 }
 
@@ -177,7 +210,7 @@ impl row::Row for Row<'_> {
     }
 
     fn wrong(&self, place: Place, expected: &str) -> ImportError {
-        let source = self.sources.sources.get(place.source);
+        let source = self.sources.get(place.source);
         let field = source.and_then(|source| source.fields.get(place.index));
         let field = field.map_or("", |field| &field.text);
         let value = self.number(place).unwrap_or(f64::NAN);

@@ -11,8 +11,8 @@ use super::{log::ImportError, samples::Interpolation};
 
 pub(super) use quantity::Conversion;
 pub use quantity::{Acceleration, Angle, AngularVelocity, Dimension, Length, Quantity, Speed};
+pub(super) use steering::Messages;
 pub use steering::SteeringSection;
-pub(super) use steering::{Messages, Stamp};
 
 /// The longest delay, s. A time of the record is never before its zero.
 const LONGEST_DELAY_S: f64 = 0.9;
@@ -283,7 +283,11 @@ macro_rules! with_messages {
         $(
             impl $section {
                 pub(super) fn messages(&self) -> Messages<'_> {
-                    Messages::new($name, &self.topic, &self.stamp)
+                    Messages {
+                        section: $name,
+                        topic: self.topic.as_deref(),
+                        stamp: self.stamp.as_deref(),
+                    }
                 }
             }
         )*
@@ -429,29 +433,21 @@ impl TimeSection {
 
     /// Fails if the section is not one for a CSV file.
     pub(super) fn check_rows(&self) -> Result<(), String> {
-        let missing = |key, fix| Err(invalid(key, "missing", fix));
-        if self.column.is_none() {
-            return missing("time.column", "name the column of the time of a row");
-        }
-        if self.unit.is_none() {
-            let fix = "give the unit of that column: \"s\", \"ms\", \"us\" or \"ns\"";
-            return missing("time.unit", fix);
-        }
-        if self.unix.is_none() {
-            let fix = "set it to true if the time counts from 1970, to false if not";
-            return missing("time.unix", fix);
-        }
-        Ok(())
+        let fix = "name the column of the time of a row";
+        require(self.column.is_some(), "time.column", "missing", fix)?;
+        let fix = "give the unit of that column: \"s\", \"ms\", \"us\" or \"ns\"";
+        require(self.unit.is_some(), "time.unit", "missing", fix)?;
+        let fix = "set it to true if the time counts from 1970, to false if not";
+        require(self.unix.is_some(), "time.unix", "missing", fix)
     }
 
     /// Fails if the section is not one for a bag.
     pub(super) fn check_bag(&self) -> Result<(), String> {
         let fix = "remove it: the messages of a bag have times of their own, see `stamp`";
-        match &self.column {
-            Some(column) => Err(invalid("time.column", format!("{column:?}"), fix)),
-            None if self.unit.is_some() => Err(invalid("time.unit", "given", fix)),
-            None if self.unix.is_some() => Err(invalid("time.unix", "given", fix)),
-            None => Ok(()),
+        if let Some(column) = &self.column {
+            return Err(invalid("time.column", format!("{column:?}"), fix));
         }
+        require(self.unit.is_none(), "time.unit", "given", fix)?;
+        require(self.unix.is_none(), "time.unix", "given", fix)
     }
 }

@@ -45,23 +45,16 @@ impl SteeringSection {
             (None, Some(radians)) => {
                 const KEY: &str = "steering.radians_per_unit";
                 check_finite(KEY, radians)?;
-                require(
-                    radians != 0.0,
-                    KEY,
-                    radians,
-                    "use the angle of a command of 1",
-                )?;
+                let fix = "use the angle of a command of 1";
+                require(radians != 0.0, KEY, radians, fix)?;
             }
             (Some(table), None) => check_table(table)?,
         }
-        match self.offset_rad {
-            Some(offset_rad) if self.table.is_some() => {
-                let fix = "add it to the angles of the table instead";
-                Err(invalid("steering.offset_rad", offset_rad, fix))
-            }
-            Some(offset_rad) => check_finite("steering.offset_rad", offset_rad),
-            None => Ok(()),
-        }
+        let (key, offset_rad) = ("steering.offset_rad", self.offset_rad.unwrap_or_default());
+        let is_good = self.table.is_none() || self.offset_rad.is_none();
+        let fix = "add it to the angles of the table instead";
+        require(is_good, key, offset_rad, fix)?;
+        check_finite(key, offset_rad)
     }
 
     /// The steering angle of a command, in rad.
@@ -100,43 +93,20 @@ fn check_table(table: &[[f64; 2]]) -> Result<(), String> {
 pub(in crate::import) struct Messages<'a> {
     /// The section, such as `pose`.
     pub(in crate::import) section: &'static str,
-    topic: Option<&'a str>,
-    stamp: Option<&'a str>,
-}
-
-/// The time of a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::import) enum Stamp<'a> {
-    /// When it was received, as the bag has it.
-    Receive,
-    /// A field of the message.
-    Field(&'a str),
+    pub(super) topic: Option<&'a str>,
+    pub(super) stamp: Option<&'a str>,
 }
 
 impl<'a> Messages<'a> {
-    pub(super) fn new(
-        section: &'static str,
-        topic: &'a Option<String>,
-        stamp: &'a Option<String>,
-    ) -> Self {
-        Self {
-            section,
-            topic: topic.as_deref(),
-            stamp: stamp.as_deref(),
-        }
-    }
-
     /// The topic; the map is checked before to have one.
     pub(in crate::import) fn topic(self) -> &'a str {
         self.topic.unwrap_or_default()
     }
 
-    pub(in crate::import) fn stamp(self) -> Stamp<'a> {
-        match self.stamp {
-            Some("receive") => Stamp::Receive,
-            Some(field) => Stamp::Field(field),
-            None => Stamp::Field("header.stamp"),
-        }
+    /// The field with the time of a message; `None` if that is when it was received, as the bag has it.
+    pub(in crate::import) fn stamp(self) -> Option<&'a str> {
+        let field = self.stamp.unwrap_or("header.stamp");
+        (field != "receive").then_some(field)
     }
 
     pub(super) fn check(self, is_bag: bool) -> Result<(), String> {
