@@ -9,7 +9,10 @@ use singletrack_analysis::identification::{
 use singletrack_campaign::{run_units, thread_count};
 use singletrack_control::{SlipAngles, Tyres, VehicleParameters};
 use singletrack_lab::{Result, identify::Collector};
-use singletrack_scenario::simulate::{Scenario, drive_entries};
+use singletrack_scenario::{
+    simulate::{Scenario, virtual_drive_config},
+    virtual_drive::VirtualDrive,
+};
 use singletrack_sim::{CameraParameters, CarTruth, ImuParameters, ServoParameters};
 
 /// The drive for the identification.
@@ -156,12 +159,18 @@ fn differ(scenario: &mut Scenario, tyres: Tyres, slip_angles: SlipAngles) {
 fn simulated(plan: &StudyPlan, text: &str, seed: u64) -> Result<DriveData> {
     let mut scenario = scenario(text, seed)?;
     differ(&mut scenario, plan.tyre_curve, plan.slip_angles);
-    let mut entries = Vec::new();
-    let config =
-        drive_entries(&scenario, &mut |entry| entries.push(entry.clone())).map_err(under(seed))?;
+    let (config, simulation) = virtual_drive_config(&scenario).map_err(under(seed))?;
     let mut collector = Collector::new(&config, 0).map_err(under(seed))?;
-    for entry in &entries {
-        collector.take(entry);
+    let drive = VirtualDrive::new(config, scenario.run.seed, simulation);
+    let mut drive = drive.map_err(under(seed))?;
+    drive.keep_entries();
+    let first = drive.start().map_err(under(seed))?.now;
+    let mut now = first;
+    while now.seconds_since(first) < scenario.run.duration_s {
+        now = drive.step().now;
+        for entry in drive.entries() {
+            collector.take(&entry);
+        }
     }
     Ok(collector.until(u64::MAX >> 1))
 }

@@ -6,9 +6,9 @@ use std::{fs, path::Path};
 use singletrack_control::{Position, SlowedBy};
 use singletrack_core::config::{Config, FenceSection, ReferenceSection, Start, StepSection};
 use singletrack_pilot::{Mode, Reason};
-use singletrack_record::Entry;
+use singletrack_record::TickRecord;
 use singletrack_scenario::{
-    simulate::{Row, Scenario, drive_entries, simulate},
+    simulate::{Row, Scenario, simulate, virtual_drive_config},
     simulated::{BRAKING_M_S2, Drive, daemon_config},
     virtual_drive::VirtualDrive,
 };
@@ -203,16 +203,13 @@ fn an_eight_at_twice_the_speed_is_followed_as_fast_as_the_tyres_hold() {
     assert!(farthest(&left, 5.0) > 1.0);
     // The speed that it leaves to catch up is what limits it where the path is straighter.
     let (mut tyres, mut speed, mut before) = (0, 0, 0.0);
-    drive_entries(&scenario(&fast), &mut |entry| {
-        if let Entry::Tick(tick) = entry {
-            let path = tick.output.path.unwrap_or_default();
-            assert!(path >= before, "{path} after {before}");
-            before = path;
-            tyres += u32::from(tick.output.slowed_by == Some(SlowedBy::Tyres));
-            speed += u32::from(tick.output.slowed_by == Some(SlowedBy::Speed));
-        }
-    })
-    .unwrap();
+    ticks(&scenario(&fast), |tick| {
+        let path = tick.output.path.unwrap_or_default();
+        assert!(path >= before, "{path} after {before}");
+        before = path;
+        tyres += u32::from(tick.output.slowed_by == Some(SlowedBy::Tyres));
+        speed += u32::from(tick.output.slowed_by == Some(SlowedBy::Speed));
+    });
     assert!(tyres > 30 && speed > 300, "{tyres} {speed}");
 }
 
@@ -272,17 +269,27 @@ fn a_circle_that_is_too_tight_is_gone_round_on_the_smallest_that_can_be_steered(
     }
 }
 
+/// Drives a scenario on the simulated car, and passes on each tick up to its end.
+pub(crate) fn ticks(scenario: &Scenario, mut take: impl FnMut(&TickRecord)) {
+    let (daemon, simulation) = virtual_drive_config(scenario).unwrap();
+    let mut drive = VirtualDrive::new(daemon, scenario.run.seed, simulation).unwrap();
+    let first = drive.start_with(&mut |tick| take(&tick.tick)).unwrap().now;
+    let mut now = first;
+    while now.seconds_since(first) < scenario.run.duration_s {
+        let tick = drive.step();
+        now = tick.now;
+        take(&tick.tick);
+    }
+}
+
 /// The reasons of a scenario's ticks in turn, why its governor slowed it, and how far it came.
 fn reasons(text: &str) -> (Vec<Reason>, Vec<SlowedBy>, f64) {
     let (mut reasons, mut slowed, mut path) = (Vec::new(), Vec::new(), 0.0);
-    drive_entries(&scenario(text), &mut |entry| {
-        if let Entry::Tick(tick) = entry {
-            reasons.extend(tick.output.reason);
-            slowed.extend(tick.output.slowed_by);
-            path = tick.output.path.unwrap_or(path);
-        }
-    })
-    .unwrap();
+    ticks(&scenario(text), |tick| {
+        reasons.extend(tick.output.reason);
+        slowed.extend(tick.output.slowed_by);
+        path = tick.output.path.unwrap_or(path);
+    });
     reasons.dedup();
     (reasons, slowed, path)
 }

@@ -8,18 +8,17 @@ use singletrack_core::{
     online_calibration::OnlineCalibration,
 };
 use singletrack_pilot::{Arming, Mode, Output, PilotRequest, Reason};
-use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, Truth, World};
 
 use super::{
     Operator, OperatorSection, SimulateError, Simulation,
-    scenario::{Scenario, ScenarioError, SteeringHold},
+    scenario::{MarkerLoss, Scenario, SteeringHold, require},
     summary::{CalibrationLine, ROWS_PER_SECOND, Row, Summary, Tally, drives, row_time},
 };
 use crate::{
     laboratory::Laboratory,
     tracking::TrackingError,
-    virtual_drive::{READY_TIMEOUT, VirtualDrive, VirtualDriveError, VirtualTick},
+    virtual_drive::{READY_TIMEOUT, VirtualDriveError, VirtualTick},
 };
 
 /// The configurations of the daemon and of the simulation for a scenario.
@@ -30,52 +29,19 @@ use crate::{
 pub fn virtual_drive_config(
     scenario: &Scenario,
 ) -> Result<(Config, SimulationConfig), SimulateError> {
-    if scenario.law.kind != LawKind::FrontPoint {
-        return Err(ScenarioError::value(
-            "law.kind",
-            "velocity-point",
-            "the pilot drives the car by the front-point law; use plant kind \"ideal\" for this one",
-        )
-        .into());
-    }
-    if scenario.control.period_ms == 0 {
-        return Err(ScenarioError::value(
-            "control.period_ms",
-            0,
-            "the pilot of plant kind \"car\" runs in ticks; set it to 10",
-        )
-        .into());
-    }
+    let is_front_point = scenario.law.kind == LawKind::FrontPoint;
+    let fix =
+        "the pilot drives the car by the front-point law; use plant kind \"ideal\" for this one";
+    require(is_front_point, "law.kind", "velocity-point", fix)?;
+    let (period_ms, key) = (scenario.control.period_ms, "control.period_ms");
+    let fix = "the pilot of plant kind \"car\" runs in ticks; set it to 10";
+    require(period_ms > 0, key, period_ms, fix)?;
     scenario.outer_loop.validate_for(&scenario.reference()?)?;
     let mut config = scenario.daemon()?;
     let simulation = scenario.simulation(&config)?;
     config.reference = config.reference.with_points_inlined()?;
     config.validate()?;
     Ok((config, simulation))
-}
-
-/// Drives a scenario on the simulated car, without marker losses and tunings, and passes on each entry
-/// of its record. Returns the configuration of the drive.
-///
-/// # Errors
-///
-/// The car can't drive the scenario, or does not start.
-pub fn drive_entries(
-    scenario: &Scenario,
-    take: &mut impl FnMut(&Entry),
-) -> Result<Config, SimulateError> {
-    let (daemon, simulation) = virtual_drive_config(scenario)?;
-    let mut drive = VirtualDrive::new(daemon.clone(), scenario.run.seed, simulation)?;
-    drive.keep_entries();
-    let first = drive.start()?;
-    let mut now = first.now;
-    while now.seconds_since(first.now) < scenario.run.duration_s {
-        now = drive.step().now;
-        for entry in drive.entries() {
-            take(&entry);
-        }
-    }
-    Ok(daemon)
 }
 
 /// How a scenario is run on the car.
@@ -173,15 +139,10 @@ impl ScenarioRun {
     ) -> Result<Self, SimulateError> {
         let period_us = daemon.control.period_ns() / 1_000;
         let under_way = simulation.cameras.latency_us.div_ceil(period_us);
-        for loss in &scenario.marker_loss {
-            if loss.first_tick <= under_way {
-                return Err(ScenarioError::value(
-                    "marker_loss.first_tick",
-                    loss.first_tick,
-                    "on plant kind \"car\" the frames of the first ticks are under way when it starts; make it later",
-                )
-                .into());
-            }
+        let key = "marker_loss.first_tick";
+        let fix = "on plant kind \"car\" the frames of the first ticks are under way when it starts; make it later";
+        for MarkerLoss { first_tick, .. } in &scenario.marker_loss {
+            require(*first_tick > under_way, key, first_tick, fix)?;
         }
         let arms = scenario.operator.unwrap_or_default().arm;
         let mut run = Self::new(scenario, daemon, simulation, options)?;

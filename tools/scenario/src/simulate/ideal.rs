@@ -38,17 +38,12 @@ enum Law {
     VelocityPoint(VelocityPointLaw),
 }
 
-/// The command of a law to the steering.
-#[derive(Clone, Copy)]
-enum SteeringCommand {
-    Rate(f64),
-    Angle(f64),
-}
-
+/// The command of a law: speed, and steering rate or angle.
 #[derive(Clone, Copy)]
 struct Command {
     speed: f64,
-    steering: SteeringCommand,
+    rate: f64,
+    angle: Option<f64>,
 }
 
 impl Law {
@@ -77,14 +72,16 @@ impl Law {
                 let command = law.command(&motion, steering, velocity)?;
                 Command {
                     speed: command.speed,
-                    steering: SteeringCommand::Rate(command.steering_rate),
+                    rate: command.steering_rate,
+                    angle: None,
                 }
             }
             Self::VelocityPoint(law) => {
                 let command = law.command(&motion, velocity)?;
                 Command {
                     speed: command.speed,
-                    steering: SteeringCommand::Angle(command.steering),
+                    rate: 0.0,
+                    angle: Some(command.steering),
                 }
             }
         })
@@ -164,14 +161,8 @@ impl<'a> Simulation<'a> {
                 time = stop;
             }
             let (velocity, command) = self.decide(end, &vector, &self.reference_at(end))?;
-            if let SteeringCommand::Angle(steering) = command.steering {
-                vector[5] = steering;
-            }
-            let rate = match command.steering {
-                SteeringCommand::Rate(rate) => rate,
-                SteeringCommand::Angle(_) => 0.0,
-            };
-            rows.push(self.row(end, &vector, command.speed, rate, &velocity));
+            vector[5] = command.angle.unwrap_or(vector[5]);
+            rows.push(self.row(end, &vector, command.speed, command.rate, &velocity));
         }
         Ok(rows)
     }
@@ -231,10 +222,8 @@ impl<'a> Simulation<'a> {
                 && let Some(command) = waiting.pop_front()
             {
                 speed = command.speed;
-                acting_rate = match command.steering {
-                    SteeringCommand::Rate(rate) => rate,
-                    SteeringCommand::Angle(angle) => (angle - steering) / period,
-                };
+                let turned = command.angle.map(|angle| (angle - steering) / period);
+                acting_rate = turned.unwrap_or(command.rate);
             }
 
             // Rows at this tick show the steering before it jumps.
@@ -255,7 +244,8 @@ impl<'a> Simulation<'a> {
             };
             let command = Command {
                 speed,
-                steering: SteeringCommand::Rate(rate),
+                rate,
+                angle: None,
             };
             let mut time = begin;
             while time < end {
@@ -301,10 +291,7 @@ impl<'a> Simulation<'a> {
     /// The paper's model under a command.
     fn slope(&self, vector: &Vector, command: &Command) -> Vector {
         let (state, steering) = split(vector);
-        let (steering, rate) = match command.steering {
-            SteeringCommand::Rate(rate) => (steering, rate),
-            SteeringCommand::Angle(angle) => (angle, 0.0),
-        };
+        let steering = command.angle.unwrap_or(steering);
         let slope = self.model.derivative(&state, command.speed, steering);
         [
             slope.x,
@@ -312,7 +299,7 @@ impl<'a> Simulation<'a> {
             slope.yaw,
             slope.yaw_rate,
             slope.sideslip,
-            rate,
+            command.rate,
         ]
     }
 

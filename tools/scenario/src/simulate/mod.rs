@@ -19,9 +19,7 @@ use crate::{
     virtual_record::VirtualRecordError,
 };
 
-pub use car::{
-    Progress, RunOptions, ScenarioRun, drive_entries, simulate_configured, virtual_drive_config,
-};
+pub use car::{Progress, RunOptions, ScenarioRun, simulate_configured, virtual_drive_config};
 pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, ScenarioError,
     StartSection, SteeringHold,
@@ -79,7 +77,7 @@ impl fmt::Display for Simulation {
 }
 
 /// The result of a scenario.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Simulation {
     /// The trajectory.
     pub rows: Vec<Row>,
@@ -125,11 +123,8 @@ pub fn simulate_with(
             let distances: Vec<_> = rows.iter().map(Row::distance_from_reference).collect();
             Ok(Simulation {
                 rows,
-                notes: Vec::new(),
                 tracking_error: TrackingError::of(&distances),
-                summary: None,
-                estimates: Vec::new(),
-                digest: None,
+                ..Simulation::default()
             })
         }
         PlantKind::Car => {
@@ -223,25 +218,6 @@ enum Action {
     ResetBoard,
 }
 
-impl OperatorSection {
-    const fn actions(&self) -> [(Option<f64>, Action); 6] {
-        [
-            (
-                self.emergency_stop_at_s,
-                Action::Ask(PilotRequest::EmergencyStop),
-            ),
-            (self.disarm_at_s, Action::Ask(PilotRequest::Disarm)),
-            (
-                self.arm_again_at_s,
-                Action::Ask(PilotRequest::Arm(Arming::Unattended)),
-            ),
-            (self.unplug_at_s, Action::Connect(false)),
-            (self.plug_at_s, Action::Connect(true)),
-            (self.reset_board_at_s, Action::ResetBoard),
-        ]
-    }
-}
-
 /// An operator during a run.
 #[derive(Debug)]
 pub(super) struct Operator {
@@ -253,15 +229,23 @@ pub(super) struct Operator {
 
 impl Operator {
     pub(super) fn new(section: &OperatorSection, tunes: &[TuneSection]) -> Self {
-        let tunes = tunes
-            .iter()
-            .map(|tune| (tune.at_s, Action::Tune(tune.tuning())));
-        let mut to_do: Vec<_> = section
-            .actions()
-            .into_iter()
-            .filter_map(|(at_s, action)| Some((at_s?, action)))
-            .chain(tunes)
-            .collect();
+        let ask = |at_s: Option<f64>, request| (at_s, Action::Ask(request));
+        let actions = [
+            ask(section.emergency_stop_at_s, PilotRequest::EmergencyStop),
+            ask(section.disarm_at_s, PilotRequest::Disarm),
+            ask(
+                section.arm_again_at_s,
+                PilotRequest::Arm(Arming::Unattended),
+            ),
+            (section.unplug_at_s, Action::Connect(false)),
+            (section.plug_at_s, Action::Connect(true)),
+            (section.reset_board_at_s, Action::ResetBoard),
+        ];
+        let actions = actions.into_iter();
+        let timed = actions.filter_map(|(at_s, action)| Some((at_s?, action)));
+        let tunes = tunes.iter();
+        let tunes = tunes.map(|tune| (tune.at_s, Action::Tune(tune.tuning())));
+        let mut to_do: Vec<_> = timed.chain(tunes).collect();
         to_do.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         Self {
             to_do,

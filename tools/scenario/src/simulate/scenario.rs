@@ -219,9 +219,15 @@ const AT_MOST_1000: Worded = in_words("at most 1000", |value| value <= 1_000.0);
 macro_rules! daemon_sections {
     ($($section:ident)+) => {
         impl Scenario {
-            /// The first of them that is given.
+            /// The first of them that is given, or of what else only the car has.
             fn given_section(&self) -> Option<&'static str> {
-                let all = [$((stringify!($section), self.$section.is_some())),+];
+                let all = [
+                    $((stringify!($section), self.$section.is_some()),)+
+                    ("truth", self.truth.is_some()),
+                    ("simulation", self.simulation.is_some()),
+                    ("operator", self.operator.is_some()),
+                    ("tune", !self.tune.is_empty()),
+                ];
                 let mut given = all.into_iter().filter(|(_, is_given)| *is_given);
                 given.next().map(|(name, _)| name)
             }
@@ -279,14 +285,10 @@ impl Scenario {
         self.law.validate(&self.vehicle)?;
         self.outer_loop.validate()?;
         self.reference()?;
-        let [x, y] = self.start.point_p_m;
-        if !(x.is_finite() && y.is_finite() && self.start.yaw_deg.is_finite()) {
-            return Err(ScenarioError::value(
-                "start",
-                format!("{x}, {y}, {}", self.start.yaw_deg),
-                "position and yaw must be finite",
-            ));
-        }
+        let ([x, y], yaw) = (self.start.point_p_m, self.start.yaw_deg);
+        let is_finite = x.is_finite() && y.is_finite() && yaw.is_finite();
+        let fix = "position and yaw must be finite";
+        require(is_finite, "start", format_args!("{x}, {y}, {yaw}"), fix)?;
         self.run.check()?;
         match self.plant.kind {
             PlantKind::Ideal => self.validate_ideal()?,
@@ -306,51 +308,34 @@ impl Scenario {
         check("control.period_ms", &period_ms, &AT_MOST_1000)?;
         check("control.delay_ticks", &delay_ticks, &AT_MOST_1000)?;
         if period_ms == 0 {
-            if delay_ticks > 0 {
-                return Err(ScenarioError::value(
-                    "control.delay_ticks",
-                    delay_ticks,
-                    "continuous control (period_ms = 0) has no ticks to delay; use 0, or a period",
-                ));
-            }
-            if matches!(
+            let key = "control.delay_ticks";
+            let fix =
+                "continuous control (period_ms = 0) has no ticks to delay; use 0, or a period";
+            require(delay_ticks == 0, key, delay_ticks, fix)?;
+            let is_in_ticks = matches!(
                 self.outer_loop,
                 OuterLoopSection::Lqi(_) | OuterLoopSection::Mpc(_) | OuterLoopSection::Own(_)
-            ) {
-                return Err(ScenarioError::value(
-                    "control.period_ms",
-                    0,
-                    "outer_loop.kind \"lqi\", \"mpc\" and \"own\" have a state that goes on in ticks; set \
-                     a period",
-                ));
-            }
-            if !self.marker_loss.is_empty() {
-                return Err(ScenarioError::value(
-                    "marker_loss",
-                    format!("{} windows", self.marker_loss.len()),
-                    "continuous control (period_ms = 0) has no ticks to lose; remove them, or set a period",
-                ));
-            }
+            );
+            let fix = "outer_loop.kind \"lqi\", \"mpc\" and \"own\" have a state that goes on in ticks; set \
+                       a period";
+            require(!is_in_ticks, "control.period_ms", 0, fix)?;
+            let losses = self.marker_loss.len();
+            let fix = "continuous control (period_ms = 0) has no ticks to lose; remove them, or set a period";
+            require(
+                losses == 0,
+                "marker_loss",
+                format_args!("{losses} windows"),
+                fix,
+            )?;
         }
         Ok(self.marker_loss.iter().try_for_each(MarkerLoss::check)?)
     }
 
     /// Refuses what only the car has.
     fn validate_ideal(&self) -> Result<(), ScenarioError> {
-        let key = match self.given_section() {
-            Some(key) => Some(key),
-            None if self.truth.is_some() => Some("truth"),
-            None if self.simulation.is_some() => Some("simulation"),
-            None if self.operator.is_some() => Some("operator"),
-            None if !self.tune.is_empty() => Some("tune"),
-            None => None,
-        };
-        if let Some(key) = key {
-            return Err(ScenarioError::value(
-                key,
-                "given",
-                "plant kind \"ideal\" has neither pilot nor board; remove it, or use \"car\"",
-            ));
+        if let Some(key) = self.given_section() {
+            let fix = "plant kind \"ideal\" has neither pilot nor board; remove it, or use \"car\"";
+            return Err(ScenarioError::value(key, "given", fix));
         }
         if let Some((key, _)) = self.control.daemon.iter().next() {
             return Err(ScenarioError::Text(format!(
@@ -393,28 +378,13 @@ impl Scenario {
             let section = simulation.get(section).and_then(Value::as_table);
             section.is_some_and(|section| section.contains_key(key))
         };
-        for (key, given, fix) in [
-            (
-                "simulation.seed",
-                simulation.contains_key("seed"),
-                "the seed of a scenario is run.seed; set that one",
-            ),
-            (
-                "simulation.car.start",
-                has("car", "start"),
-                "a scenario starts where [start] says; remove it",
-            ),
-            (
-                "simulation.board.kind",
-                has("board", "kind"),
-                "the board of a scenario is plant.board; set that one",
-            ),
-        ] {
-            if given {
-                return Err(ScenarioError::value(key, "given", fix));
-            }
-        }
-        Ok(())
+        let has_seed = simulation.contains_key("seed");
+        let fix = "the seed of a scenario is run.seed; set that one";
+        require(!has_seed, "simulation.seed", "given", fix)?;
+        let fix = "a scenario starts where [start] says; remove it";
+        require(!has("car", "start"), "simulation.car.start", "given", fix)?;
+        let fix = "the board of a scenario is plant.board; set that one";
+        require(!has("board", "kind"), "simulation.board.kind", "given", fix)
     }
 
     /// The simulation: what is true of the car. What `[simulation]` and `[truth]` leave out
@@ -493,6 +463,19 @@ fn layer<T: Serialize + DeserializeOwned>(
         .try_into()
         .map_err(|cause| error(explain_table(&cause)))?;
     Ok(())
+}
+
+/// Refuses a value that is not good.
+pub(super) fn require(
+    is_good: bool,
+    key: &'static str,
+    value: impl std::fmt::Display,
+    fix: &'static str,
+) -> Result<(), ScenarioError> {
+    match is_good {
+        true => Ok(()),
+        false => Err(ScenarioError::value(key, value, fix)),
+    }
 }
 
 /// A scenario that can't be simulated.
