@@ -22,22 +22,14 @@ pub(super) struct Sheet {
     values: Vec<f64>,
 }
 
-/// A point of a ring.
-#[derive(Clone, Copy)]
-struct Crossing {
-    place: [f64; 2],
-    /// Whether the value is reached here; else the grid ends here.
-    reached: bool,
-}
+/// A point of a ring, and whether the value is reached there; else the grid ends there.
+type Crossing = ([f64; 2], bool);
 
 impl Sheet {
     pub(super) fn new(grid: &Grid, x: &Ruler, y: &Ruler) -> Self {
-        let finite = |value: &f64| {
-            if value.is_nan() {
-                BLANK
-            } else {
-                value.clamp(-FAR, FAR)
-            }
+        let finite = |value: &f64| match value.is_nan() {
+            true => BLANK,
+            false => value.clamp(-FAR, FAR),
         };
         Self {
             x: grid.x().iter().map(|value| x.at(*value)).collect(),
@@ -54,7 +46,7 @@ impl Sheet {
         if to < f64::INFINITY {
             rings.append(&mut self.rings(to));
         }
-        let places = |ring: Vec<Crossing>| ring.iter().map(|crossing| crossing.place).collect();
+        let places = |ring: Vec<Crossing>| ring.into_iter().map(|(place, _)| place).collect();
         rings.into_iter().map(places).collect()
     }
 
@@ -62,17 +54,17 @@ impl Sheet {
     /// ends there.
     pub(super) fn lines(&self, value: f64) -> Vec<Piece> {
         let mut lines = Vec::new();
+        let places = |piece: &[Crossing]| piece.iter().map(|(place, _)| *place).collect();
         for mut ring in self.rings(value) {
-            let Some(end) = ring.iter().position(|crossing| !crossing.reached) else {
-                lines.push(ring.iter().map(|crossing| crossing.place).collect());
+            let Some(end) = ring.iter().position(|(_, reached)| !reached) else {
+                lines.push(places(&ring));
                 continue;
             };
             // The last point is the first again.
             ring.pop();
             let end = end.min(ring.len());
             ring.rotate_left(end);
-            let places = |piece: &[Crossing]| piece.iter().map(|point| point.place).collect();
-            lines.extend(ring.split(|point| !point.reached).map(places));
+            lines.extend(ring.split(|(_, reached)| !reached).map(places));
         }
         lines.retain(|line: &Piece| line.len() > 1);
         lines
@@ -84,15 +76,12 @@ impl Sheet {
         let threshold = threshold.max(-FAR);
         // The grid's constructor has seen to the only error, a wrong number of values.
         let rings = contour_rings(&self.values, threshold, self.x.len(), self.y.len());
-        rings
-            .unwrap_or_default()
-            .into_iter()
-            .map(|ring| {
-                ring.iter()
-                    .filter_map(|point| self.crossing(point.x, point.y, threshold))
-                    .collect()
-            })
-            .collect()
+        let rings = rings.unwrap_or_default().into_iter().map(|ring| {
+            let points = ring.iter();
+            let points = points.filter_map(|point| self.crossing(point.x, point.y, threshold));
+            points.collect()
+        });
+        rings.collect()
     }
 
     /// The point of a ring that lies halfway between two neighbours of the grid, whose
@@ -115,16 +104,9 @@ impl Sheet {
                         halved(|part| reached(part) == (high < threshold))
                     }
                 };
-                let place = between(ends, part);
-                Some(Crossing {
-                    place,
-                    reached: true,
-                })
+                Some((between(ends, part), true))
             }
-            [Some((node, _)), None] | [None, Some((node, _))] => Some(Crossing {
-                place: self.place(node),
-                reached: false,
-            }),
+            [Some((node, _)), None] | [None, Some((node, _))] => Some((self.place(node), false)),
             [None, None] => None,
         }
     }
@@ -162,13 +144,10 @@ const SPACING: f64 = 1.1;
 pub(super) fn hatch(rings: &[Piece]) -> Vec<[[f64; 2]; 2]> {
     // On the page x goes right and y down: along a line x + y stays, x - y grows.
     let step = SPACING * std::f64::consts::SQRT_2;
-    let sums = rings.iter().flatten().map(|[x, y]| x + y);
-    let [low, high] = sums.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], sum| {
-        [low.min(sum), high.max(sum)]
-    });
-    if low > high {
+    let sums = || rings.iter().flatten().map(|[x, y]| x + y);
+    let Some((low, high)) = sums().reduce(f64::min).zip(sums().reduce(f64::max)) else {
         return Vec::new();
-    }
+    };
     // The same lines wherever the area begins, so that neighbours continue each other.
     let (first, last) = ((low / step).ceil() as i64, (high / step).floor() as i64);
     let mut lines = Vec::new();

@@ -131,14 +131,10 @@ words! {
     }
 }
 
-/// An entry of the legend.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Entry {
-    pub(super) key: Key,
-    pub(super) name: String,
-}
+/// An entry of the legend: what it explains, and its name.
+pub(super) type Entry<'a> = (Key, &'a str);
 
-/// What it explains.
+/// What an entry of the legend explains.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Key {
     Line(Look),
@@ -152,15 +148,11 @@ pub(super) enum Key {
 
 /// The legend of all panels together. A single kind of line needs none: the axis
 /// names it.
-pub(super) fn entries(figure: &Figure) -> Vec<Entry> {
-    let mut entries: Vec<Entry> = Vec::new();
-    let mut add = |key, name: &str| {
-        let entry = Entry {
-            key,
-            name: name.to_owned(),
-        };
-        if !name.is_empty() && !entries.contains(&entry) {
-            entries.push(entry);
+pub(super) fn entries(figure: &Figure) -> Vec<Entry<'_>> {
+    let mut entries = Vec::new();
+    let mut add = |key, name| {
+        if !str::is_empty(name) && !entries.contains(&(key, name)) {
+            entries.push((key, name));
         }
     };
     for panel in &figure.panels {
@@ -231,8 +223,8 @@ impl Key {
 }
 
 /// Where the entries go within `width`: left edge and row of each.
-pub(super) fn places(entries: &[Entry], width: f64) -> Vec<(f64, usize)> {
-    let own = |entry: &Entry| entry.key.text_offset() + typeset::width(&entry.name);
+pub(super) fn places(entries: &[Entry<'_>], width: f64) -> Vec<(f64, usize)> {
+    let own = |(key, name): &Entry<'_>| key.text_offset() + typeset::width(name);
     let rest = width - entries.iter().map(own).sum::<f64>();
     let in_a_row = rest / entries.len().saturating_sub(1).max(1) as f64;
     let gap = match in_a_row {

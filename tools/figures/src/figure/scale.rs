@@ -62,16 +62,11 @@ impl Ruler {
                 let step = if is_sparse { step(0.4 * wide) } else { wide };
                 let decimals = decimals(step);
                 let slack = 1e-9 * (high - low);
-                let (first, last) = (
-                    ((low - slack) / step).ceil() as i64,
-                    ((high + slack) / step).floor() as i64,
-                );
-                (first..=last)
-                    .map(|index| {
-                        let value = index as f64 * step;
-                        (value, minus(format!("{value:.decimals$}")))
-                    })
-                    .collect()
+                let first = ((low - slack) / step).ceil() as i64;
+                let last = ((high + slack) / step).floor() as i64;
+                let values = (first..=last).map(|index| index as f64 * step);
+                let text = |value| minus(format!("{value:.decimals$}"));
+                values.map(|value| (value, text(value))).collect()
             }
             Scale::Log => {
                 let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);

@@ -77,10 +77,9 @@ fn distance([x, y]: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     let (along_x, along_y) = (to[0] - from[0], to[1] - from[1]);
     let (off_x, off_y) = (x - from[0], y - from[1]);
     let square = along_x * along_x + along_y * along_y;
-    let part = if square > 0.0 {
-        ((off_x * along_x + off_y * along_y) / square).clamp(0.0, 1.0)
-    } else {
-        0.0
+    let part = match square > 0.0 {
+        true => ((off_x * along_x + off_y * along_y) / square).clamp(0.0, 1.0),
+        false => 0.0,
     };
     (off_x - part * along_x).hypot(off_y - part * along_y)
 }

@@ -21,10 +21,6 @@ pub struct Recording {
     configuration: Option<u32>,
     /// Ticks, driving or not.
     pub ticks: u64,
-    /// Points of the control grid at which no tick ran.
-    pub skipped: u64,
-    /// Events that ticks could not take in.
-    pub events_dropped: u64,
     /// Entries that did not reach the record.
     pub entries_dropped: u64,
 }
@@ -73,8 +69,6 @@ impl Recording {
     fn take_tick(&mut self, tick: &TickRecord) {
         let output = &tick.output;
         self.ticks += 1;
-        self.skipped += u64::from(tick.skipped);
-        self.events_dropped += u64::from(tick.events_dropped);
         for event in &tick.events {
             if let Event::Reconfigured(number) = event {
                 self.configuration = Some(*number);
@@ -209,11 +203,8 @@ impl Drive {
 
     /// Until when the car followed its reference, in s: then it stopped, if at all.
     pub fn followed(&self) -> f64 {
-        let driving = self
-            .ticks
-            .iter()
-            .rev()
-            .find(|tick| tick.mode == Mode::Driving);
+        let mut ticks = self.ticks.iter();
+        let driving = ticks.rfind(|tick| tick.mode == Mode::Driving);
         driving.map_or(0.0, |tick| tick.time)
     }
 
@@ -256,10 +247,9 @@ impl Drive {
             return f64::NAN;
         };
         let elapsed = other.time - one.time;
-        let part = if elapsed > 0.0 {
-            (sample.time - one.time) / elapsed
-        } else {
-            0.0
+        let part = match elapsed > 0.0 {
+            true => (sample.time - one.time) / elapsed,
+            false => 0.0,
         };
         let (from, to) = (one.nominal, other.nominal);
         let nominal = [0, 1].map(|axis: usize| from[axis] + part * (to[axis] - from[axis]));
@@ -401,11 +391,8 @@ const SILENT_INTERVALS: f64 = 5.5;
 /// The usual interval is the median time between ticks with a new pose, so that cameras
 /// slower than the control loop are not a loss.
 pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
-    let fresh: Vec<f64> = ticks
-        .iter()
-        .filter(|tick| !tick.held)
-        .map(|tick| tick.time)
-        .collect();
+    let fresh = ticks.iter().filter(|tick| !tick.held);
+    let fresh: Vec<f64> = fresh.map(|tick| tick.time).collect();
     let intervals = Distribution::of(fresh.windows(2).map(|pair| pair[1] - pair[0]));
     let usual = intervals.sorted().get(intervals.count() / 2).copied();
 
@@ -418,13 +405,10 @@ pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
             continue;
         }
         let before = fresh.partition_point(|time| *time < first.time);
-        let seen = before
-            .checked_sub(1)
-            .and_then(|index| fresh.get(index))
-            .copied();
-        let until = fresh.get(before).copied().unwrap_or(last.time);
+        let (seen, unseen) = fresh.split_at(before);
+        let until = unseen.first().copied().unwrap_or(last.time);
         // At the start of a drive the last pose is at most a tick older.
-        let blind = until - seen.unwrap_or(first.time);
+        let blind = until - seen.last().copied().unwrap_or(first.time);
         let told = run.iter().any(|tick| tick.poses_missing > 0);
         let intervals = if told { INTERVALS } else { SILENT_INTERVALS };
         if usual.is_none_or(|usual| blind > intervals * usual) && until > first.time {

@@ -209,8 +209,8 @@ fn list(records: &[Record]) {
 impl Record {
     /// The kind of the reference that a drive was configured with.
     fn reference(&self, drive: &Drive) -> Option<String> {
-        let configuration: toml::Table = self.configuration(drive)?.parse().ok()?;
-        let kind = configuration.get("reference")?.get("kind")?.as_str()?;
+        let settings = self.settings(drive);
+        let kind = settings.get("reference")?.get("kind")?.as_str()?;
         Some(kind.to_owned())
     }
 
@@ -286,8 +286,7 @@ pub fn write_animation(
     drive: &Drive,
     folder: &Path,
 ) -> Result<PathBuf, PlotError> {
-    let configuration = record.configuration(drive).unwrap_or_default();
-    let picture = animation::animation(drive, configuration)
+    let picture = animation::animation(drive, &record.settings(drive))
         .map_err(|why| record.missing(format!("no animation: {why}")))?;
     Ok(write_into(folder, ANIMATION, &picture)?)
 }

@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use singletrack_record::{Ending, Meta, Reader, RecordError, Topic};
 
+use toml::Table;
+
 use super::drive::{Drive, Recording};
 use crate::output::{WriteError, progress_bar};
 
@@ -94,16 +96,20 @@ impl Record {
 
     /// The distance by which the law believes the front axle to be ahead of the vehicle's, in m.
     fn axle_error(&self, drive: &Drive) -> Option<f64> {
-        let configuration: toml::Table = self.configuration(drive)?.parse().ok()?;
+        let settings = self.settings(drive);
         let distance = |section: &str| {
-            let section = configuration.get(section)?;
+            let section = settings.get(section)?;
             section.get("front_axle_distance_m")?.as_float()
         };
         Some(distance("law")? - distance("vehicle")?)
     }
-}
 
-impl Record {
+    /// The configuration that a drive was driven with; empty if the record does not hold it.
+    pub(super) fn settings(&self, drive: &Drive) -> Table {
+        let text = self.configuration(drive).unwrap_or_default();
+        text.parse().unwrap_or_default()
+    }
+
     /// The configuration that a drive was driven with, as TOML; none if the record
     /// does not hold it.
     pub fn configuration(&self, drive: &Drive) -> Option<&str> {

@@ -40,7 +40,7 @@ pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
     let configuration = record
         .configuration(drive)
         .unwrap_or("The configuration of this drive is not in the record.");
-    let animation = match animation::animation(drive, configuration) {
+    let animation = match animation::animation(drive, &record.settings(drive)) {
         Ok(picture) => moving(&picture),
         Err(why) => {
             missing.push(format!("There is no animation: {why}."));

@@ -92,7 +92,7 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
     }
     let latency = Distribution::of(ticks.iter().map(|tick| tick.latency * 1e3));
     add("capture to command", percentiles(latency, "ms", 1));
-    for (name, value) in configured(record.configuration(drive).unwrap_or_default()) {
+    for (name, value) in configured(&record.settings(drive)) {
         add(name, Some(value));
     }
     add("versions", Some(versions(&record.meta)));
@@ -189,10 +189,7 @@ fn errors(drive: &Drive, timed: impl Iterator<Item = (f64, f64)>) -> Option<Stri
 }
 
 /// The most important values of the configuration, if it has them.
-fn configured(text: &str) -> Vec<(&'static str, String)> {
-    let Ok(table) = text.parse::<Table>() else {
-        return Vec::new();
-    };
+fn configured(table: &Table) -> Vec<(&'static str, String)> {
     let number = |section: &str, key: &str| table.get(section)?.get(key)?.as_float();
     let word = |section: &str, key: &str| table.get(section)?.get(key)?.as_str();
     let mut lines = Vec::new();
@@ -274,11 +271,12 @@ mod tests {
 
     #[test]
     fn the_summary_states_the_law_with_its_error() {
-        let lines = configured(
+        let settings = |text: &str| text.parse::<Table>().unwrap_or_default();
+        let lines = configured(&settings(
             "[law]\npoint_distance_m = 0.35\nfront_axle_distance_m = 0.26\n\
              [vehicle]\nfront_axle_distance_m = 0.1368\n\
              [reference]\nkind = \"circle\"\nradius_m = 1.0\n",
-        );
+        ));
         assert_eq!(
             lines,
             [
@@ -289,6 +287,6 @@ mod tests {
                 ("reference", "circle: radius_m = 1.0".to_owned()),
             ]
         );
-        assert_eq!(configured("not TOML ["), []);
+        assert_eq!(configured(&settings("not TOML [")), []);
     }
 }

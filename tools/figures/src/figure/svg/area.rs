@@ -127,43 +127,36 @@ fn range(panel: &Panel, axis: usize) -> [f64; 2] {
         return [-0.5, panel.names.len() as f64 - 0.5];
     }
     let description: &Axis = if axis == 0 { &panel.x } else { &panel.y };
-    let mut ends = [f64::INFINITY, f64::NEG_INFINITY];
-    let mut take = |value: f64| {
-        if value.is_finite() {
-            ends = [ends[0].min(value), ends[1].max(value)];
-        }
-    };
+    let mut values: Vec<f64> = description.include.into_iter().collect();
     if let Some(Map { grid, .. }) = &panel.map {
-        let values = [grid.x(), grid.y()][axis];
-        values.iter().copied().for_each(&mut take);
+        values.extend([grid.x(), grid.y()][axis]);
     }
     for curve in &panel.curves {
-        let column = [&curve.x, &curve.y][axis];
-        column.iter().copied().for_each(&mut take);
+        values.extend([&curve.x, &curve.y][axis].iter());
     }
     let marks = panel.marks.iter().map(|mark| mark.point);
     let callouts = panel.callouts.iter().flat_map(|all| &all.points);
     let points = marks.chain(callouts.map(|callout| callout.point));
-    points.for_each(|point| take(point[axis]));
+    values.extend(points.map(|point| point[axis]));
     for estimate in &panel.estimates {
         let [low, high] = estimate.interval;
-        let values = [[estimate.x; 3], [estimate.value, low, high]][axis];
-        values.into_iter().for_each(&mut take);
+        values.extend([[estimate.x; 3], [estimate.value, low, high]][axis]);
     }
     if axis == 1 {
-        panel.levels.iter().for_each(|level| take(level.value));
+        values.extend(panel.levels.iter().map(|level| level.value));
     }
     for bar in &panel.bars {
-        let values = [bar.span, [bar.height; 2]][axis];
-        values.into_iter().for_each(&mut take);
+        values.extend([bar.span, [bar.height; 2]][axis]);
     }
-    description.include.into_iter().for_each(&mut take);
-    if ends[0] > ends[1] {
+    values.retain(|value| value.is_finite());
+    let least = values.iter().copied().reduce(f64::min);
+    let Some(ends) = least.zip(values.into_iter().reduce(f64::max)) else {
         return match description.scale {
             Scale::Linear => [0.0, 1.0],
             Scale::Log => [1.0, 10.0],
         };
-    }
+    };
+    let ends: [f64; 2] = ends.into();
     let histogram = !panel.bars.is_empty();
     match description.scale {
         // A map fills its frame.

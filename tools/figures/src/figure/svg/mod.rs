@@ -88,13 +88,7 @@ impl Figure {
 }
 
 fn draw_panel(panel: &Panel, area: &Area) -> String {
-    let Area {
-        left,
-        right,
-        top,
-        bottom,
-        ..
-    } = *area;
+    let (left, right, top, bottom) = (area.left, area.right, area.top, area.bottom);
     let mut svg = String::from("<g>\n");
     if !panel.title.is_empty() {
         let middle = 0.5 * (left + right);
@@ -254,10 +248,11 @@ fn draw_mark(mark: &Mark, area: &Area) -> String {
     write::mark(kind, [area.x.at(x), area.y.at(y)], &title)
 }
 
-fn draw_entry(entry: &Entry, left: f64, middle: f64) -> String {
-    let right = left + entry.key.width();
+fn draw_entry((key, name): &Entry<'_>, left: f64, middle: f64) -> String {
+    let right = left + key.width();
     let centre = [0.5 * (left + right), middle];
-    let key = match entry.key {
+    let place = [left + key.text_offset(), middle + 0.85];
+    let drawn = match *key {
         Key::Line(look) => {
             let (pen, start) = (pen(look), through(&[[left, middle]]));
             format!(r#"<path {pen} d="{start}h{}"/>{END}"#, page::KEY_WIDTH)
@@ -275,8 +270,7 @@ fn draw_entry(entry: &Entry, left: f64, middle: f64) -> String {
                 + &write::mark(kind, centre, "")
         }
     };
-    let place = [left + entry.key.text_offset(), middle + 0.85];
-    key + &text(place, "start", &entry.name)
+    drawn + &text(place, "start", name)
 }
 
 /// Name, symbol and unit of an axis, around a place.

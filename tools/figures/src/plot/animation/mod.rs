@@ -5,7 +5,7 @@ mod scene;
 
 use std::fmt::Write as _;
 
-use toml::{Table, Value};
+use toml::Table;
 
 use super::drive::{Drive, TickSample, distance};
 use crate::output::fill;
@@ -21,17 +21,14 @@ const MAX_FRAMES: f64 = 1_200.0;
 /// For how long the end of the drive is shown before it begins again, in s.
 const PAUSE: f64 = 1.5;
 
-/// Draws the animation of a drive that was driven with this configuration, a TOML document.
+/// Draws the animation of a drive that was driven with this configuration.
 ///
 /// # Errors
 ///
 /// What the drive or the configuration lacks for it.
-pub(super) fn animation(drive: &Drive, configuration: &str) -> Result<String, &'static str> {
-    let scene = configuration
-        .parse()
-        .ok()
-        .and_then(|table: Table| Scene::of(&Value::Table(table)))
-        .ok_or("the record does not hold the dimensions of the car")?;
+pub(super) fn animation(drive: &Drive, configuration: &Table) -> Result<String, &'static str> {
+    let scene = Scene::of(configuration);
+    let scene = scene.ok_or("the record does not hold the dimensions of the car")?;
     let frames = Frames::of(drive).ok_or("no tick knows where the car was")?;
     let view = View::around(&frames.all_places(), &scene);
     let seconds = number(frames.duration);
@@ -88,7 +85,6 @@ pub(super) fn animation(drive: &Drive, configuration: &str) -> Result<String, &'
             ("fence", scene.fence_path()),
             ("reference_path", reference_path),
             ("trail", frames.trail(&seconds)),
-            ("trail_width", number(view.metres(TRAIL_PX))),
             // In m, as all on the floor: not every renderer knows strokes that do not scale.
             ("px_1", number(view.metres(1.0))),
             ("px_1_5", number(view.metres(1.5))),
@@ -118,8 +114,6 @@ pub(super) fn animation(drive: &Drive, configuration: &str) -> Result<String, &'
     ))
 }
 
-/// The width of the path of P.
-const TRAIL_PX: f64 = 2.5;
 /// Above the floor: the legend. Below it: the time.
 const HEADER_PX: f64 = 34.0;
 const FOOTER_PX: f64 = 24.0;
@@ -177,13 +171,8 @@ impl Frames {
     }
 
     fn all_places(&self) -> Vec<[f64; 2]> {
-        let references = self.reference.iter().flatten();
-        self.car
-            .iter()
-            .chain(&self.point)
-            .chain(references)
-            .copied()
-            .collect()
+        let all = [&self.car, &self.point].into_iter().chain(&self.reference);
+        all.flatten().copied().collect()
     }
 
     /// The path of P, drawn as far as P has gone.

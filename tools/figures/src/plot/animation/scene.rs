@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 
 use singletrack_control::VehicleParameters;
-use toml::Value;
+use toml::Table;
 
 use crate::{figure::trimmed, output::fill};
 
@@ -22,8 +22,8 @@ pub(super) struct Scene {
 }
 
 impl Scene {
-    /// None if the configuration, a TOML document, does not hold the car.
-    pub(super) fn of(configuration: &Value) -> Option<Self> {
+    /// None if the configuration does not hold the car.
+    pub(super) fn of(configuration: &Table) -> Option<Self> {
         let vehicle: VehicleParameters = configuration.get("vehicle")?.clone().try_into().ok()?;
         let law = configuration.get("law")?;
         let front_axle = law.get("front_axle_distance_m")?.as_float()?;
@@ -54,14 +54,8 @@ impl Scene {
     /// The car with its centre of mass at the origin, its front to the right; `steering` opens a group that
     /// turns with the front wheels.
     pub(super) fn car(&self, steering: &str) -> String {
-        let Self {
-            length,
-            width,
-            front_axle,
-            rear_axle,
-            point,
-            ..
-        } = *self;
+        let (length, width) = (self.length, self.width);
+        let (front_axle, rear_axle) = (self.front_axle, self.rear_axle);
         let (wheel, tyre) = (0.17 * length, 0.07 * length);
         let wheel_at = |x: f64, y: f64| {
             let [tyre, x, y, wheel] = [tyre, x - 0.5 * wheel, y, wheel].map(number);
@@ -85,7 +79,7 @@ impl Scene {
                 ("wheels", axles(-side) + &axles(side)),
                 ("front", number(front_axle)),
                 ("steering", steering.to_owned()),
-                ("point", number(point)),
+                ("point", number(self.point)),
                 ("point_radius", number(0.075 * length)),
             ],
         )
@@ -142,15 +136,9 @@ impl View {
 
     /// From metres, y up, to pixels, y down, below a header.
     pub(super) fn transform(&self, header_px: f64) -> String {
-        let Self {
-            left, top, scale, ..
-        } = self;
-        format!(
-            "translate({} {}) scale({scale:.4} {:.4})",
-            number(-left * scale),
-            number(header_px + top * scale),
-            -scale
-        )
+        let scale = self.scale;
+        let [x, y] = [-self.left * scale, header_px + self.top * scale].map(number);
+        format!("translate({x} {y}) scale({scale:.4} {:.4})", -scale)
     }
 
     pub(super) fn metres(&self, pixels: f64) -> f64 {
