@@ -176,14 +176,11 @@ impl VirtualDrive {
         seed: u64,
         simulation: SimulationConfig,
     ) -> Result<Self, VirtualDriveError> {
-        Self::with_options(
-            config,
-            simulation,
-            HostOptions {
-                nonce_seed: seed,
-                ..HostOptions::default()
-            },
-        )
+        let options = HostOptions {
+            nonce_seed: seed,
+            ..HostOptions::default()
+        };
+        Self::with_options(config, simulation, options)
     }
 
     /// [`new`](Self::new) with the options of the host.
@@ -246,10 +243,8 @@ impl VirtualDrive {
     ///
     /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
-        self.host
-            .parts
-            .requests
-            .push(ControlRequest::Pilot(request))
+        let request = ControlRequest::Pilot(request);
+        self.host.parts.requests.push(request)
     }
 
     /// Tells the pilot what is learned, with the next tick.
@@ -322,12 +317,8 @@ impl VirtualDrive {
             let now_ns = self.host_us * 1_000;
             let truth = self.world.truth();
             if self.knows_the_truth {
-                self.host
-                    .parts
-                    .control
-                    .controller
-                    .pilot
-                    .assume(perfect_estimate(&truth, now_ns));
+                let pilot = &mut self.host.parts.control.controller.pilot;
+                pilot.assume(perfect_estimate(&truth, now_ns));
             }
             self.host.tick(now_ns);
             self.write();
@@ -402,12 +393,8 @@ impl VirtualDrive {
 
     /// Passes the bytes that the tick wrote to the line.
     fn write(&mut self) {
-        let mut written = self
-            .port
-            .line
-            .0
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let written = self.port.line.0.lock();
+        let mut written = written.unwrap_or_else(PoisonError::into_inner);
         self.world.host_write(&written);
         written.clear();
     }

@@ -46,12 +46,9 @@ impl VirtualFleet {
         let drive = |(index, car): (usize, &FleetCar)| {
             VirtualDrive::new(car.config.clone(), car.seed, fleet_simulation(cars, index))
         };
+        let drives = cars.iter().enumerate().map(drive);
         Ok(Self {
-            cars: cars
-                .iter()
-                .enumerate()
-                .map(drive)
-                .collect::<Result<_, _>>()?,
+            cars: drives.collect::<Result<_, _>>()?,
             floor: fleet_floor(cars),
             now_us: 0,
         })

@@ -107,13 +107,9 @@ impl Grid {
 
     /// The least and the greatest of its finite values.
     pub fn range(&self) -> Option<[f64; 2]> {
-        let finite = || {
-            self.values
-                .iter()
-                .copied()
-                .filter(|value| value.is_finite())
-        };
-        Some([finite().reduce(f64::min)?, finite().reduce(f64::max)?])
+        let values = self.values.iter().copied();
+        let finite = values.filter(|value| value.is_finite());
+        Some([finite.clone().reduce(f64::min)?, finite.reduce(f64::max)?])
     }
 }
 

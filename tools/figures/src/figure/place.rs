@@ -124,10 +124,8 @@ impl Obstacles {
 }
 
 pub(super) fn segments(points: &[[f64; 2]]) -> impl Iterator<Item = Segment> + '_ {
-    points
-        .iter()
-        .zip(points.iter().skip(1))
-        .map(|(from, to)| [*from, *to])
+    let ends = points.iter().zip(points.iter().skip(1));
+    ends.map(|(from, to)| [*from, *to])
 }
 
 /// The place at a part of the way from one point to another.
@@ -151,10 +149,8 @@ pub(super) fn interrupted(points: &[[f64; 2]], slots: &[Slot]) -> Vec<Vec<[f64; 
     let mut pieces = Vec::new();
     let mut piece: Vec<[f64; 2]> = Vec::new();
     for segment in segments(points) {
-        let mut taken: Vec<[f64; 2]> = slots
-            .iter()
-            .filter_map(|slot| slot.within(segment))
-            .collect();
+        let taken = slots.iter().filter_map(|slot| slot.within(segment));
+        let mut taken: Vec<[f64; 2]> = taken.collect();
         taken.sort_by(|one, other| one[0].total_cmp(&other[0]));
         let at = |part: f64| between(segment, part);
         let mut free_from = 0.0;

@@ -25,16 +25,10 @@ pub(super) fn envelope(points: &[[f64; 2]], width: f64) -> Piece {
         points.chunk_by(|[one, _], [other, _]| (one / width).floor() == (other / width).floor())
     {
         let by_height = |one: &&[f64; 2], other: &&[f64; 2]| one[1].total_cmp(&other[1]);
-        let mut four: Vec<_> = [
-            column.first(),
-            column.iter().min_by(by_height),
-            column.iter().max_by(by_height),
-            column.last(),
-        ]
-        .into_iter()
-        .flatten()
-        .copied()
-        .collect();
+        let lowest = column.iter().min_by(by_height);
+        let highest = column.iter().max_by(by_height);
+        let four = [column.first(), lowest, highest, column.last()];
+        let mut four: Vec<_> = four.into_iter().flatten().copied().collect();
         four.sort_by(|[one, _], [other, _]| one.total_cmp(other));
         four.dedup();
         kept.append(&mut four);

@@ -1,8 +1,8 @@
 //! The drives in a record: inputs and outputs of their ticks, in SI units, over
 //! the time since the first driving tick.
 
-use singletrack_control::Time;
 use singletrack_control::statistics::Distribution;
+use singletrack_control::{Estimate, Time};
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord, seconds_since};
 
@@ -132,9 +132,7 @@ impl Drive {
         let missing = missing.filter(|event| matches!(event, Event::PoseMissing(_)));
         let reference = output.reference;
         let estimate = output.estimate;
-        let of_estimate = |value: fn(&singletrack_control::Estimate) -> f64| {
-            estimate.as_ref().map_or(f64::NAN, value)
-        };
+        let of_estimate = |value: fn(&Estimate) -> f64| estimate.as_ref().map_or(f64::NAN, value);
         let seconds = |ns: i64| ns as f64 * 1e-9;
         // What another program has driven has no estimate: the body stands for P.
         let point = match (output.point, estimate) {

@@ -7,11 +7,12 @@ use std::collections::HashMap;
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
+use singletrack_pilot::Reason;
 use singletrack_record::{Level, Log, seconds_since};
 
 use super::{
     animation,
-    drive::Drive,
+    drive::{Change, Drive},
     figures::FigureKind,
     read::Record,
     summary::{self, Line},
@@ -31,11 +32,8 @@ pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
     let mut missing: Vec<String> = missing
         .map(|(kind, why)| format!("There is no figure {}: {why}.", kind.name()))
         .collect();
-    let name = record
-        .path
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy();
+    let name = record.path.file_name().unwrap_or_default();
+    let name = name.to_string_lossy();
     let summary = summary::lines(record, number, drive);
     let configuration = record
         .configuration(drive)
@@ -74,15 +72,12 @@ fn fill(parts: &[(&str, &str)]) -> String {
 }
 
 fn subtitle(drive: &Drive) -> String {
-    format!(
-        "A drive of {:.1} s. Times are since its first driving tick; {}.",
-        drive.duration(),
-        if drive.truth.is_empty() {
-            "all that is shown comes from the record"
-        } else {
-            "ground truth is shown because the car is simulated"
-        }
-    )
+    let duration = drive.duration();
+    let source = match drive.truth.is_empty() {
+        true => "all that is shown comes from the record",
+        false => "ground truth is shown because the car is simulated",
+    };
+    format!("A drive of {duration:.1} s. Times are since its first driving tick; {source}.")
 }
 
 /// The animation as an image: its styles and the report's stay apart.
@@ -95,37 +90,28 @@ fn moving(picture: &str) -> String {
 }
 
 fn row((name, value): &Line) -> String {
-    format!(
-        "<tr><th scope=\"row\">{}</th><td>{}</td></tr>\n",
-        escaped(name),
-        escaped(value)
-    )
+    let (name, value) = (escaped(name), escaped(value));
+    format!("<tr><th scope=\"row\">{name}</th><td>{value}</td></tr>\n")
 }
 
 fn framed((kind, figure): &(FigureKind, Figure)) -> String {
     let over_time = if is_interactive(figure) { " time" } else { "" };
     let width = figure.width;
+    let (title, caption) = (escaped(&figure.title), escaped(&figure.caption));
     format!(
-        "<figure id=\"{}\" class=\"{width}{over_time}\">\n<h3>{}</h3>\n<div class=\"live\"></div>\n\
-         <div class=\"static\">{}</div>\n<figcaption>{}</figcaption>\n</figure>\n",
-        kind.name(),
-        escaped(&figure.title),
-        figure.to_svg(),
-        escaped(&figure.caption)
+        "<figure id=\"{kind}\" class=\"{width}{over_time}\">\n<h3>{title}</h3>\n<div class=\"live\"></div>\n\
+         <div class=\"static\">{}</div>\n<figcaption>{caption}</figcaption>\n</figure>\n",
+        figure.to_svg()
     )
 }
 
 fn changes(record: &Record, drive: &Drive) -> String {
-    summary::changes(record, drive)
-        .into_iter()
-        .map(|(time, change)| {
-            format!(
-                "<tr><td>{time:.3}</td><td>{}</td><td>{}</td></tr>\n",
-                change.mode,
-                change.reason.map_or("", |reason| reason.name())
-            )
-        })
-        .collect()
+    let changes = summary::changes(record, drive).into_iter();
+    let rows = changes.map(|(time, Change { mode, reason, .. })| {
+        let reason = reason.map_or("", Reason::name);
+        format!("<tr><td>{time:.3}</td><td>{mode}</td><td>{reason}</td></tr>\n")
+    });
+    rows.collect()
 }
 
 fn log(log: &[Log], drive: &Drive) -> String {
@@ -134,28 +120,21 @@ fn log(log: &[Log], drive: &Drive) -> String {
     }
     let matters = |log: &&Log| log.level >= Level::Warning;
     let bad: Vec<&Log> = log.iter().filter(matters).collect();
-    let mut html = if bad.is_empty() {
+    let html = if bad.is_empty() {
         "<p class=\"quiet\">No warnings and no errors.</p>\n".to_owned()
     } else {
         table(&bad, drive)
     };
     let all: Vec<&Log> = log.iter().collect();
-    html += &format!(
-        "<details><summary>All {} lines</summary>{}</details>",
-        log.len(),
-        table(&all, drive)
-    );
-    html
+    let (count, all) = (log.len(), table(&all, drive));
+    html + &format!("<details><summary>All {count} lines</summary>{all}</details>")
 }
 
 fn table(lines: &[&Log], drive: &Drive) -> String {
     let rows = lines.iter().take(MOST_LOG_LINES).map(|log| {
         let time = seconds_since(drive.start_ns, log.time_ns);
-        let level = log.level.name();
-        format!(
-            "<tr><td>{time:.3}</td><td>{level}</td><td>{}</td></tr>\n",
-            escaped(&log.text)
-        )
+        let (level, text) = (log.level.name(), escaped(&log.text));
+        format!("<tr><td>{time:.3}</td><td>{level}</td><td>{text}</td></tr>\n")
     });
     let rows: String = rows.collect();
     let cut = lines.len().saturating_sub(MOST_LOG_LINES);
@@ -234,10 +213,8 @@ impl Columns {
 
     /// The number of a column, which is written as the base 64 of 32-bit floats, little-endian.
     fn number(&mut self, column: &Column) -> usize {
-        let bytes: Vec<u8> = column
-            .iter()
-            .flat_map(|value| (*value as f32).to_le_bytes())
-            .collect();
+        let floats = column.iter().map(|value| *value as f32);
+        let bytes: Vec<u8> = floats.flat_map(f32::to_le_bytes).collect();
         let text = STANDARD.encode(&bytes);
         *self.numbers.entry(text).or_insert_with_key(|text| {
             self.texts.push(text.clone());

@@ -23,18 +23,14 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
     let recording = &record.recording;
     let ticks = &drive.ticks;
     add("begun", begun(record, drive));
-    add(
-        "duration",
-        Some(format!(
-            "{:.2} s, of which P followed its reference for {:.2} s{}",
-            drive.duration(),
-            drive.followed(),
-            match recording.drives.len() {
-                1 => String::new(),
-                count => format!("; drive {number} of {count} in the record"),
-            }
-        )),
-    );
+    let which = match recording.drives.len() {
+        1 => String::new(),
+        count => format!("; drive {number} of {count} in the record"),
+    };
+    let (duration, followed) = (drive.duration(), drive.followed());
+    let duration =
+        format!("{duration:.2} s, of which P followed its reference for {followed:.2} s{which}");
+    add("duration", Some(duration));
     add("ended", Some(ended(record, drive)));
     let estimated = ticks.iter().map(|tick| (tick.time, tick.error()));
     add("tracking error", errors(drive, estimated));
@@ -42,42 +38,25 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
     let real = truth.map(|sample| (sample.time, drive.true_error(sample)));
     add("true tracking error", errors(drive, real));
     let speed = Distribution::of(ticks.iter().map(|tick| tick.speed));
-    add(
-        "speed",
-        speed
-            .quantile(0.5)
-            .zip(speed.max())
-            .map(|(median, most)| format!("{median:.3} m/s at the median, {most:.3} m/s at most")),
-    );
+    let speed = speed.quantile(0.5).zip(speed.max());
+    let text = |(p50, most)| format!("{p50:.3} m/s at the median, {most:.3} m/s at most");
+    add("speed", speed.map(text));
     let held = ticks.iter().filter(|tick| tick.held).count();
     let missing: usize = ticks.iter().map(|tick| tick.poses_missing as usize).sum();
     let lost = drive.lost_markers();
     let longest = lost.iter().map(|[from, to]| to - from).fold(0.0, f64::max);
-    add(
-        "markers",
-        Some(match lost.len() {
-            0 => format!("never lost; {} without a new pose", many(held, "tick")),
-            times => format!(
-                "lost {}, for {:.0} ms at most; {} without a valid pose, {} held the last one",
-                match times {
-                    1 => "once".to_owned(),
-                    times => format!("{times} times"),
-                },
-                longest * 1000.0,
-                many(missing, "frame"),
-                many(held, "tick")
-            ),
-        }),
-    );
+    let longest = format!("for {:.0} ms at most", longest * 1000.0);
+    let (held, missing) = (many(held, "tick"), many(missing, "frame"));
+    let poses = format!("{missing} without a valid pose, {held} held the last one");
+    let markers = match lost.len() {
+        0 => format!("never lost; {held} without a new pose"),
+        1 => format!("lost once, {longest}; {poses}"),
+        times => format!("lost {times} times, {longest}; {poses}"),
+    };
+    add("markers", Some(markers));
     let skipped: usize = ticks.iter().map(|tick| tick.skipped as usize).sum();
-    add(
-        "ticks",
-        Some(format!(
-            "{}, {} missed",
-            ticks.len(),
-            many(skipped, "deadline")
-        )),
-    );
+    let skipped = many(skipped, "deadline");
+    add("ticks", Some(format!("{}, {skipped} missed", ticks.len())));
     let percentiles = |values: Distribution, unit, decimals: usize| {
         let (p50, p99) = (values.quantile(0.5)?, values.quantile(0.99)?);
         let most = values.max()?;
@@ -96,17 +75,10 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
         add(name, Some(value));
     }
     add("versions", Some(versions(&record.meta)));
-    add(
-        "seed of the simulation",
-        record.meta.seed.map(|seed| seed.to_string()),
-    );
-    let count = |level| {
-        recording
-            .log
-            .iter()
-            .filter(|log| log.level == level)
-            .count()
-    };
+    let seed = record.meta.seed.map(|seed| seed.to_string());
+    add("seed of the simulation", seed);
+    let levels = recording.log.iter().map(|log| log.level);
+    let count = |level| levels.clone().filter(|own| *own == level).count();
     let (warnings, errors) = (count(Level::Warning), count(Level::Error));
     let log = format!("{}, {}", many(warnings, "warning"), many(errors, "error"));
     add("log", Some(log));
@@ -177,14 +149,14 @@ fn errors(drive: &Drive, timed: impl Iterator<Item = (f64, f64)>) -> Option<Stri
     let all = Distribution::of(timed.iter().map(|(_, error)| *error));
     let late = timed.iter().filter(|(time, _)| *time >= half);
     let late = Distribution::of(late.map(|(_, error)| *error));
-    let (rms, most) = (all.root_mean_square()?, all.max()?);
-    let (late_rms, late_most) = (late.root_mean_square()?, late.max()?);
+    let text = |errors: &Distribution| {
+        let [rms, most] = [errors.root_mean_square()?, errors.max()?].map(|error| error * 1000.0);
+        Some(format!("{rms:.1} mm RMS, {most:.1} mm at most"))
+    };
     Some(format!(
-        "{:.1} mm RMS, {:.1} mm at most; in the second half {:.1} mm RMS, {:.1} mm at most",
-        rms * 1000.0,
-        most * 1000.0,
-        late_rms * 1000.0,
-        late_most * 1000.0
+        "{}; in the second half {}",
+        text(&all)?,
+        text(&late)?
     ))
 }
 
@@ -193,23 +165,17 @@ fn configured(table: &Table) -> Vec<(&'static str, String)> {
     let number = |section: &str, key: &str| table.get(section)?.get(key)?.as_float();
     let word = |section: &str, key: &str| table.get(section)?.get(key)?.as_str();
     let mut lines = Vec::new();
-    if let (Some(p), Some(believed)) = (
-        number("law", "point_distance_m"),
-        number("law", "front_axle_distance_m"),
-    ) {
-        let real = number("vehicle", "front_axle_distance_m");
-        let error = real.map_or_else(String::new, |real| {
-            format!(" (dl = {:.4} m)", believed - real)
-        });
-        lines.push((
-            "law",
-            format!("p = {p} m, estimated l_f = {believed} m{error}"),
-        ));
+    let axle = |section| number(section, "front_axle_distance_m");
+    if let Some((p, believed)) = number("law", "point_distance_m").zip(axle("law")) {
+        let error = axle("vehicle").map(|real| format!(" (dl = {:.4} m)", believed - real));
+        let error = error.unwrap_or_default();
+        let law = format!("p = {p} m, estimated l_f = {believed} m{error}");
+        lines.push(("law", law));
     }
     if let Some(kind) = word("outer_loop", "kind") {
         let value = |key| Some(table.get("outer_loop")?.get(key)?.to_string());
-        let gain =
-            value("gain_per_s").map_or_else(String::new, |gain| format!(", gain {gain} 1/s"));
+        let gain = value("gain_per_s").map(|gain| format!(", gain {gain} 1/s"));
+        let gain = gain.unwrap_or_default();
         let forward = match value("feed_forward").as_deref() {
             Some("true") => ", with feed-forward",
             _ => "",
@@ -221,12 +187,9 @@ fn configured(table: &Table) -> Vec<(&'static str, String)> {
     }
     if let Some(kind) = word("reference", "kind") {
         let rest = table.get("reference").and_then(Value::as_table);
-        let rest: Vec<String> = rest
-            .into_iter()
-            .flatten()
-            .filter(|(key, value)| *key != "kind" && !value.to_string().contains('\n'))
-            .map(|(key, value)| format!("{key} = {value}"))
-            .collect();
+        let rest = rest.into_iter().flatten().filter(|(key, _)| *key != "kind");
+        let rest = rest.map(|(key, value)| format!("{key} = {value}"));
+        let rest: Vec<String> = rest.filter(|line| !line.contains('\n')).collect();
         let rest = rest.join(", ");
         // A long list of steps is in the configuration.
         let rest = if rest.len() > 160 { "" } else { &rest };
@@ -237,11 +200,9 @@ fn configured(table: &Table) -> Vec<(&'static str, String)> {
 }
 
 fn versions(meta: &Meta) -> String {
-    let mut parts: Vec<String> = meta
-        .software
-        .iter()
-        .map(|(component, version)| format!("{component} {version}"))
-        .collect();
+    let software = meta.software.iter();
+    let software = software.map(|(component, version)| format!("{component} {version}"));
+    let mut parts: Vec<String> = software.collect();
     parts.push(format!("protocol {}", meta.protocol_version));
     parts.join(", ")
 }

@@ -13,7 +13,7 @@ use super::{
     columns::Columns,
     decimal,
     log::{ImportError, JITTER_NS, Log, duration},
-    map::{Map, Messages, TimeSection, TimeUnit, nanoseconds},
+    map::{Map, Messages, TimeSection, nanoseconds},
     row::{self, Place},
 };
 
@@ -64,9 +64,7 @@ pub(super) fn read(paths: &[&Path], map: &Map) -> Result<Log, ImportError> {
     let (first, last) = times.map_or((0, 0), |(first, last)| (first.0, last.0));
     let since_first = |time: i64| FIRST_ROW_NS.saturating_add(time.abs_diff(first));
     for (time, source, cells) in &rows {
-        if let Some(table) = tables.get(*source) {
-            columns.take(&table.row(cells), since_first(*time))?;
-        }
+        columns.take(&tables[*source].row(cells), since_first(*time))?;
     }
     let start_wall_ns = match map.time.unix {
         Some(true) => first.unsigned_abs(),
@@ -102,48 +100,38 @@ fn check_overlap(
 
 /// An error of the CSV reader, with file, line and fix.
 fn failure(path: &Path, error: csv::Error) -> ImportError {
-    let (position, why) = match error.kind() {
+    let why = match error.kind() {
         ErrorKind::UnequalLengths {
-            pos,
-            expected_len,
-            len,
-        } => (
-            pos,
-            format!(
-                "the row has {len} cells and the header {expected_len}: correct or remove the row"
-            ),
-        ),
-        ErrorKind::Utf8 { pos, .. } => (
-            pos,
-            "the row is not UTF-8: convert the file, such as with `iconv -t UTF-8`".to_owned(),
-        ),
+            expected_len: names,
+            len: cells,
+            ..
+        } => format!("the row has {cells} cells and the header {names}: correct or remove the row"),
+        ErrorKind::Utf8 { .. } => {
+            "the row is not UTF-8: convert the file, such as with `iconv -t UTF-8`".to_owned()
+        }
         _ => return ImportError::read(path)(error),
     };
-    let line = line(path, position.as_ref());
+    let line = line(path, error.position());
     ImportError::file(path, format!(", line {line}: {why}"))
 }
 
 /// The time of the rows.
-struct Clock {
+struct Clock<'a> {
     place: Place,
-    unit: TimeUnit,
-    unix: bool,
-    longest_gap_ns: u64,
+    section: &'a TimeSection,
     /// The latest time so far, in ns from the zero of the log.
     latest: Option<i64>,
     /// Rows that were before an earlier one by a little.
     sorted: u64,
 }
 
-impl Clock {
+impl<'a> Clock<'a> {
     /// The clock of a section that [is one for rows](TimeSection::check_rows).
-    fn find(table: &Table<'_>, time: &TimeSection) -> Result<Self, ImportError> {
-        let column = time.column.as_deref().unwrap_or_default();
+    fn find(table: &Table<'_>, section: &'a TimeSection) -> Result<Self, ImportError> {
+        let column = section.column.as_deref().unwrap_or_default();
         Ok(Self {
             place: table.place("time.column", column)?,
-            unit: time.unit.unwrap_or_default(),
-            unix: time.unix.unwrap_or_default(),
-            longest_gap_ns: nanoseconds(time.longest_gap_s),
+            section,
             latest: None,
             sorted: 0,
         })
@@ -152,18 +140,16 @@ impl Clock {
     /// The time of a row, in ns from the zero of the log.
     fn time(&mut self, row: &Row<'_>) -> Result<i64, ImportError> {
         let cell = row.cell(self.place);
-        let time = decimal::scaled(cell, self.unit.exponent()).ok_or_else(|| {
-            let fix = comma_fix(cell).unwrap_or(
-                "correct the cell, remove the row, or name another time.column in the map",
-            );
-            row.error(
-                self.place,
-                &format!(" is not a time as a decimal number: {fix}"),
-            )
+        let unit = self.section.unit.unwrap_or_default();
+        let time = decimal::scaled(cell, unit.exponent()).ok_or_else(|| {
+            let fix = "correct the cell, remove the row, or name another time.column in the map";
+            let fix = comma_fix(cell).unwrap_or(fix);
+            let why = format!(" is not a time as a decimal number: {fix}");
+            row.error(self.place, &why)
         })?;
         let before = self.latest.unwrap_or(time);
         let since_ns = time.abs_diff(before);
-        let fault = if self.unix && time < 0 {
+        let fault = if self.section.unix == Some(true) && time < 0 {
             " is before 1970: set time.unix = false in the map".to_owned()
         } else if time < before && since_ns > JITTER_NS {
             format!(
@@ -171,7 +157,7 @@ impl Clock {
                  those of another log",
                 duration(since_ns)
             )
-        } else if since_ns > self.longest_gap_ns {
+        } else if since_ns > nanoseconds(self.section.longest_gap_s) {
             format!(
                 " is {} after the row above: remove the rows on one side of the gap, \
                  correct time.unit in the map, or raise its time.longest_gap_s",
@@ -195,15 +181,9 @@ fn line(path: &Path, position: Option<&Position>) -> u64 {
     let blank = || -> io::Result<u64> {
         let mut file = BufReader::new(File::open(path)?);
         file.seek(SeekFrom::Start(position.byte()))?;
-        let mut blank = 0;
-        for byte in file.bytes() {
-            match byte? {
-                b'\n' => blank += 1,
-                b'\r' => {}
-                _ => break,
-            }
-        }
-        Ok(blank)
+        let bytes = file.bytes().map_while(Result::ok);
+        let ends = bytes.take_while(|byte| matches!(byte, b'\n' | b'\r'));
+        Ok(ends.filter(|byte| *byte == b'\n').count() as u64)
     };
     // A file that can't be read any more has an error of its own.
     position.line() + blank().unwrap_or_default()
@@ -211,15 +191,15 @@ fn line(path: &Path, position: Option<&Position>) -> u64 {
 
 /// A file of the log, with the names of its columns.
 struct Table<'a> {
-    pub(super) path: &'a Path,
-    pub(super) names: StringRecord,
+    path: &'a Path,
+    names: StringRecord,
     /// Its number among the files, from 0.
-    pub(super) source: usize,
+    source: usize,
 }
 
 impl<'a> Table<'a> {
     /// The place of the column that `key` in the map names.
-    pub(super) fn place(&self, key: &'static str, column: &str) -> Result<Place, ImportError> {
+    fn place(&self, key: &'static str, column: &str) -> Result<Place, ImportError> {
         let names = self.names.iter().enumerate();
         let mut places = names.filter(|(_, name)| *name == column);
         let Some((index, _)) = places.next() else {
@@ -230,24 +210,19 @@ impl<'a> Table<'a> {
             );
             return Err(ImportError::file(self.path, why));
         };
-        match places.count() {
-            0 => Ok(Place {
-                source: self.source,
-                index,
-            }),
-            others => {
-                let count = others + 1;
-                let why = format!(
-                    " has {count} columns {column:?}, and {key} in the map names one: rename the \
-                     others in the file"
-                );
-                Err(ImportError::file(self.path, why))
-            }
+        let (count, source) = (1 + places.count(), self.source);
+        if count > 1 {
+            let why = format!(
+                " has {count} columns {column:?}, and {key} in the map names one: rename the others in \
+                 the file"
+            );
+            return Err(ImportError::file(self.path, why));
         }
+        Ok(Place { source, index })
     }
 
     /// A row of the file.
-    pub(super) const fn row(&'a self, cells: &'a StringRecord) -> Row<'a> {
+    const fn row(&'a self, cells: &'a StringRecord) -> Row<'a> {
         Row { table: self, cells }
     }
 }
@@ -310,12 +285,12 @@ struct Row<'a> {
 
 impl<'a> Row<'a> {
     /// A cell, without spaces around it.
-    pub(super) fn cell(&self, place: Place) -> &'a str {
+    fn cell(&self, place: Place) -> &'a str {
         self.cells.get(place.index).unwrap_or_default()
     }
 
     /// An error in a cell.
-    pub(super) fn error(&self, place: Place, why: &str) -> ImportError {
+    fn error(&self, place: Place, why: &str) -> ImportError {
         let Table { path, names, .. } = self.table;
         let line = line(path, self.cells.position());
         let column = names.get(place.index).unwrap_or_default();

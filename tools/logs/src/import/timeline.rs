@@ -34,16 +34,13 @@ pub(super) struct Timeline<'a> {
 impl<'a> Timeline<'a> {
     pub(super) fn new(log: &'a Log) -> Self {
         let (board, without_motor_speed) = board_samples(log);
+        let span_ns = log.end_ns.saturating_sub(FIRST_ROW_NS + log.phase_ns);
         Self {
             log,
             board,
             without_motor_speed,
             // The last tick is not before the last row.
-            ticks: log
-                .end_ns
-                .saturating_sub(FIRST_ROW_NS + log.phase_ns)
-                .div_ceil(log.tick_ns)
-                + 1,
+            ticks: span_ns.div_ceil(log.tick_ns) + 1,
             index: 0,
             next_observation: 0,
             next_sample: 0,
@@ -100,10 +97,7 @@ impl<'a> Timeline<'a> {
 
     /// The observations that arrived since the tick before the last one that was returned.
     pub(super) fn arrived(&self) -> &[Observation] {
-        let poses = &self.log.poses;
-        poses
-            .get(self.arrived_from..self.next_observation)
-            .unwrap_or_default()
+        &self.log.poses[self.arrived_from..self.next_observation]
     }
 
     /// What is made of the log.

@@ -25,10 +25,8 @@ pub struct Times {
 impl Times {
     /// The statistics of times in order, in ns; none for fewer than ten.
     pub(super) fn of(times_ns: &[u64]) -> Option<Self> {
-        let intervals: Vec<f64> = times_ns
-            .windows(2)
-            .map(|pair| (pair[1] - pair[0]) as f64 * 1e-9)
-            .collect();
+        let intervals = times_ns.windows(2).map(|pair| pair[1] - pair[0]);
+        let intervals: Vec<f64> = intervals.map(|ns| ns as f64 * 1e-9).collect();
         if intervals.len() < 10 {
             return None;
         }
@@ -54,11 +52,9 @@ fn mean_period(intervals: &[f64]) -> Option<f64> {
     let mut sorted = intervals.to_vec();
     sorted.sort_by(f64::total_cmp);
     let median = sorted.get(sorted.len() / 2).copied()?;
-    let whole: Vec<f64> = intervals
-        .iter()
-        .copied()
-        .filter(|interval| (0.4 * median..1.6 * median).contains(interval))
-        .collect();
+    let about = 0.4 * median..1.6 * median;
+    let whole = intervals.iter().copied().filter(|it| about.contains(it));
+    let whole: Vec<f64> = whole.collect();
     let mean = whole.iter().sum::<f64>() / whole.len() as f64;
     (mean > 0.0).then_some(mean)
 }
@@ -96,10 +92,8 @@ fn grid(intervals: &[f64]) -> Option<f64> {
     }
     // Strays are none.
     levels.retain(|(_, count)| 100 * count > intervals.len());
-    let step = levels
-        .windows(2)
-        .map(|pair| pair[1].0 - pair[0].0)
-        .min_by(f64::total_cmp)?;
+    let steps = levels.windows(2).map(|pair| pair[1].0 - pair[0].0);
+    let step = steps.min_by(f64::total_cmp)?;
     let lies = |level: f64| (level - (level / step).round() * step).abs() < 2.0 * ON_GRID;
     let covers = levels.iter().map(|(_, count)| count).sum::<usize>() * 100 > 95 * intervals.len();
     (step > FINEST && covers && levels.iter().all(|(level, _)| lies(*level))).then_some(step)

@@ -187,10 +187,8 @@ impl Laboratory {
     ///
     /// There was no tick, or the daemon would not obey it.
     pub fn setpoint(&self, keys: Setpoint) -> Result<(), Refused> {
-        let last = self
-            .last
-            .as_ref()
-            .ok_or_else(|| Refused::new(Code::NotReady, "run a tick before the first set-point"))?;
+        let refusal = || Refused::new(Code::NotReady, "run a tick before the first set-point");
+        let last = self.last.as_ref().ok_or_else(refusal)?;
         let command = SetpointCommand::of(keys, last.now)?;
         self.drive.host().parts.setpoints.pass(&command);
         Ok(())
@@ -209,10 +207,8 @@ impl Laboratory {
     ///
     /// The text is no such pattern.
     pub fn marker_loss(&mut self, pattern: Option<&str>) -> Result<(), SetupError> {
-        let pattern = pattern
-            .map(str::parse::<LossPattern>)
-            .transpose()
-            .map_err(SetupError::new)?;
+        let pattern = pattern.map(str::parse::<LossPattern>).transpose();
+        let pattern = pattern.map_err(SetupError::new)?;
         let world = &mut self.drive.world;
         let now_us = world.now_us;
         world.cameras.loss_epoch_us = Some(now_us);

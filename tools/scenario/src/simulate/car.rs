@@ -245,21 +245,14 @@ impl ScenarioRun {
 
     fn lose_markers(&mut self) {
         let period_us = self.laboratory.config.control.period_ns() / 1_000;
-        for index in 0..self.scenario.marker_loss.len() {
-            let loss = self.scenario.marker_loss[index];
-            let last_tick = (self.scenario.run.duration_s * 1e6) as u64 / period_us;
-            let beginnings = (0..).map_while(|times| loss.beginning(times));
-            for first_tick in beginnings.take_while(|tick| *tick <= last_tick) {
+        let last_tick = (self.scenario.run.duration_s * 1e6) as u64 / period_us;
+        let windows = &mut self.laboratory.drive.world.cameras.parameters.loss_windows;
+        for loss in &self.scenario.marker_loss {
+            for first_tick in loss.beginnings(last_tick) {
                 // A tick is lost when no frame arrives in the period before it.
-                let first_us = self.start_us + (first_tick - 1) * period_us - self.latency_us;
-                self.world()
-                    .cameras
-                    .parameters
-                    .loss_windows
-                    .push(LossWindow {
-                        start_us: first_us,
-                        end_us: first_us + loss.ticks * period_us,
-                    });
+                let start_us = self.start_us + (first_tick - 1) * period_us - self.latency_us;
+                let end_us = start_us + loss.ticks * period_us;
+                windows.push(LossWindow { start_us, end_us });
             }
         }
     }
@@ -386,13 +379,10 @@ impl ScenarioRun {
         let later = TrackingError::of(&distances[distances.len() / 2..]);
         let estimates = self.calibration.as_ref();
         let estimates = estimates.map(|it| it.errors.estimates());
+        let lines = estimates.into_iter().flatten();
         let summary = Summary {
             tracking_rms_m: later.map(|error| error.rms_m),
-            calibration: estimates
-                .into_iter()
-                .flatten()
-                .map(|estimate| CalibrationLine::from(&estimate))
-                .collect(),
+            calibration: lines.map(|one| CalibrationLine::from(&one)).collect(),
             ..self.tally.summary(tracking_error)
         };
         Ok(Simulation {

@@ -139,22 +139,17 @@ impl<'a> Simulation<'a> {
         for index in 0..=self.scenario.run.last_row() {
             let end = row_time(index);
             while time < end {
-                let stop = self
-                    .reference
-                    .next_switch(time)
-                    .map_or(end, |switch| switch.min(end));
+                let switch = self.reference.next_switch(time);
+                let stop = switch.map_or(end, |switch| switch.min(end));
                 let begin = time;
                 integrator.advance(&mut vector, begin, stop, |t, vector| {
                     // The step ends where the reference switches: its stages must use
                     // the reference before that.
-                    let reference = self.placed(
-                        t,
-                        if t > begin {
-                            self.reference.before(t)
-                        } else {
-                            self.reference.at(t)
-                        },
-                    );
+                    let reference = match t > begin {
+                        true => self.reference.before(t),
+                        false => self.reference.at(t),
+                    };
+                    let reference = self.placed(t, reference);
                     let (_, command) = self.decide(t, vector, &reference)?;
                     Ok::<_, SimulateError>(self.slope(vector, &command))
                 })?;
@@ -210,10 +205,8 @@ impl<'a> Simulation<'a> {
                 period,
             });
             let velocity = applied;
-            let command = self
-                .law
-                .command(&measured, steering, &velocity)
-                .map_err(at)?;
+            let command = self.law.command(&measured, steering, &velocity);
+            let command = command.map_err(at)?;
             if tick == 0 {
                 speed = command.speed;
             }
@@ -281,26 +274,17 @@ impl<'a> Simulation<'a> {
             .velocity(reference, &self.law.point(&state, steering))
             // A loop with a state is refused where there are no ticks.
             .unwrap_or(reference.velocity);
-        let command = self
-            .law
-            .command(&state, steering, &velocity)
-            .map_err(|source| SimulateError::Law { time, source })?;
-        Ok((velocity, command))
+        let command = self.law.command(&state, steering, &velocity);
+        let command = command.map_err(|source| SimulateError::Law { time, source });
+        Ok((velocity, command?))
     }
 
     /// The paper's model under a command.
     fn slope(&self, vector: &Vector, command: &Command) -> Vector {
         let (state, steering) = split(vector);
         let steering = command.angle.unwrap_or(steering);
-        let slope = self.model.derivative(&state, command.speed, steering);
-        [
-            slope.x,
-            slope.y,
-            slope.yaw,
-            slope.yaw_rate,
-            slope.sideslip,
-            command.rate,
-        ]
+        let it = self.model.derivative(&state, command.speed, steering);
+        [it.x, it.y, it.yaw, it.yaw_rate, it.sideslip, command.rate]
     }
 
     fn row(
@@ -313,15 +297,10 @@ impl<'a> Simulation<'a> {
     ) -> Row {
         let (state, steering) = split(vector);
         let centre = Position::new(state.x, state.y);
+        let front = self.scenario.vehicle.front_axle_distance_m;
         let p = self.scenario.law.point_distance_m;
         let point = match self.law {
-            Law::FrontPoint(_) => front_point(
-                centre,
-                state.yaw,
-                steering,
-                self.scenario.vehicle.front_axle_distance_m,
-                p,
-            ),
+            Law::FrontPoint(_) => front_point(centre, state.yaw, steering, front, p),
             Law::VelocityPoint(_) => velocity_point(centre, state.yaw, state.sideslip, p),
         };
         let reference = self.reference_at(time).position.unwrap_or(self.start);
@@ -362,14 +341,13 @@ impl<'a> Simulation<'a> {
 }
 
 fn split(vector: &Vector) -> (SingleTrackState, f64) {
-    (
-        SingleTrackState {
-            x: vector[0],
-            y: vector[1],
-            yaw: vector[2],
-            yaw_rate: vector[3],
-            sideslip: vector[4],
-        },
-        vector[5],
-    )
+    let [x, y, yaw, yaw_rate, sideslip, steering] = *vector;
+    let state = SingleTrackState {
+        x,
+        y,
+        yaw,
+        yaw_rate,
+        sideslip,
+    };
+    (state, steering)
 }

@@ -141,13 +141,11 @@ pub fn simulate_with(
 /// The errors of [`simulate`]; the plant is ideal and has no pilot; the file exists or
 /// can't be written.
 pub fn simulate_recorded(scenario: &Scenario, path: &Path) -> Result<Simulation, SimulateError> {
-    simulate_with(
-        scenario,
-        RunOptions {
-            record: Some(path),
-            ..RunOptions::default()
-        },
-    )
+    let options = RunOptions {
+        record: Some(path),
+        ..RunOptions::default()
+    };
+    simulate_with(scenario, options)
 }
 
 section! {
@@ -229,14 +227,12 @@ pub(super) struct Operator {
 
 impl Operator {
     pub(super) fn new(section: &OperatorSection, tunes: &[TuneSection]) -> Self {
+        let arm = PilotRequest::Arm(Arming::Unattended);
         let ask = |at_s: Option<f64>, request| (at_s, Action::Ask(request));
         let actions = [
             ask(section.emergency_stop_at_s, PilotRequest::EmergencyStop),
             ask(section.disarm_at_s, PilotRequest::Disarm),
-            ask(
-                section.arm_again_at_s,
-                PilotRequest::Arm(Arming::Unattended),
-            ),
+            ask(section.arm_again_at_s, arm),
             (section.unplug_at_s, Action::Connect(false)),
             (section.plug_at_s, Action::Connect(true)),
             (section.reset_board_at_s, Action::ResetBoard),

@@ -199,13 +199,12 @@ impl RunSection {
 }
 
 impl MarkerLoss {
-    /// The tick at which it begins for the `index`-th time, from 0 on.
-    pub(super) fn beginning(&self, index: u64) -> Option<u64> {
-        match (index, self.repeat_ticks) {
-            (0, _) => Some(self.first_tick),
-            (_, 0) => None,
-            (_, repeat) => self.first_tick.checked_add(repeat.checked_mul(index)?),
-        }
+    /// The ticks up to `last` at which it begins.
+    pub(super) fn beginnings(&self, last: u64) -> impl Iterator<Item = u64> {
+        let repeat = self.repeat_ticks;
+        let next = move |tick: &u64| tick.checked_add(repeat).filter(|_| repeat > 0);
+        let all = std::iter::successors(Some(self.first_tick), next);
+        all.take_while(move |tick| *tick <= last)
     }
 }
 
@@ -319,14 +318,10 @@ impl Scenario {
             let fix = "outer_loop.kind \"lqi\", \"mpc\" and \"own\" have a state that goes on in ticks; set \
                        a period";
             require(!is_in_ticks, "control.period_ms", 0, fix)?;
-            let losses = self.marker_loss.len();
+            let count = self.marker_loss.len();
+            let losses = format!("{count} windows");
             let fix = "continuous control (period_ms = 0) has no ticks to lose; remove them, or set a period";
-            require(
-                losses == 0,
-                "marker_loss",
-                format_args!("{losses} windows"),
-                fix,
-            )?;
+            require(count == 0, "marker_loss", losses, fix)?;
         }
         Ok(self.marker_loss.iter().try_for_each(MarkerLoss::check)?)
     }
@@ -435,12 +430,10 @@ impl Scenario {
     }
 
     pub(crate) fn is_lost(&self, tick: u64) -> bool {
-        self.marker_loss.iter().any(|loss| {
-            tick.checked_sub(loss.first_tick)
-                .is_some_and(|since| match loss.repeat_ticks {
-                    0 => since < loss.ticks,
-                    repeat => since % repeat < loss.ticks,
-                })
+        let mut losses = self.marker_loss.iter();
+        losses.any(|loss| {
+            let mut begun = loss.beginnings(tick);
+            begun.any(|first| tick - first < loss.ticks)
         })
     }
 }

@@ -48,21 +48,25 @@ pub(super) fn animation(drive: &Drive, configuration: &Table) -> Result<String, 
         let values = angles.iter().map(|angle| number(angle.to_degrees()));
         animate("rotate", values.collect())
     };
-    let (reference_path, reference) = match &frames.reference {
-        Some(places) => (
-            format!(r#"<path class="reference-path" d="{}"/>"#, through(places)),
-            format!(
-                r#"{}<circle class="reference" r="{}"/></g>"#,
-                translation(places),
-                number(0.11 * scene.length)
-            ),
+    let (label, reference_path, reference, legend) = match &frames.reference {
+        Some(places) => {
+            let (path, radius) = (through(places), number(0.11 * scene.length));
+            (
+                "A car from above: P, in front of it, follows its reference",
+                format!(r#"<path class="reference-path" d="{path}"/>"#),
+                translation(places) + &format!(r#"<circle class="reference" r="{radius}"/></g>"#),
+                r#"<circle class="ring" cx="76" cy="17" r="6"/><text x="90" y="22">reference</text>"#,
+            )
+        }
+        None => (
+            "A car from above: P, in front of it, moves with the velocity that it is given",
+            String::new(),
+            String::new(),
+            "",
         ),
-        None => Default::default(),
     };
-    let label = match frames.reference {
-        Some(_) => "A car from above: P, in front of it, follows its reference",
-        None => "A car from above: P, in front of it, moves with the velocity that it is given",
-    };
+    let car = scene.car(&rotation(&frames.steering));
+    let car = translation(&frames.car) + &rotation(&frames.yaw) + &car + "</g></g>";
     Ok(fill(
         include_str!("template.svg"),
         &[
@@ -95,21 +99,8 @@ pub(super) fn animation(drive: &Drive, configuration: &Table) -> Result<String, 
             ("px_7", number(view.metres(7.0))),
             ("lost", frames.lost(&seconds, view.width_px)),
             ("reference", reference),
-            (
-                "car",
-                format!(
-                    "{}{}{}</g></g>",
-                    translation(&frames.car),
-                    rotation(&frames.yaw),
-                    scene.car(&rotation(&frames.steering))
-                ),
-            ),
-            (
-                "legend_reference",
-                frames.reference.as_ref().map_or_else(String::new, |_| {
-                    r#"<circle class="ring" cx="76" cy="17" r="6"/><text x="90" y="22">reference</text>"#.to_owned()
-                }),
-            ),
+            ("car", car),
+            ("legend_reference", legend.to_owned()),
         ],
     ))
 }

@@ -11,16 +11,15 @@ use crate::{
 const BARS: usize = 50;
 /// Bars in every decade of a logarithmic one.
 const BARS_A_DECADE: i32 = 8;
+/// What a histogram counts.
+const PART: Axis = Axis::new("part of the ticks", None, "%");
 /// Lateness below this is in the first bar, in µs.
 const LEAST_LATENESS: f64 = 1.0;
 
 pub(super) fn latency(drive: &Drive) -> Figure {
     let values = drive.ticks.iter().map(|tick| tick.latency * 1000.0);
     let latency = Distribution::of(values);
-    let mut panel = Panel::new(
-        Axis::new("mid-exposure to command", None, "ms"),
-        Axis::new("part of the ticks", None, "%"),
-    );
+    let mut panel = Panel::new(Axis::new("mid-exposure to command", None, "ms"), PART);
     let mut beyond = 0;
     if let (Some(least), Some(p99), Some(most)) =
         (latency.min(), latency.quantile(0.99), latency.max())
@@ -35,15 +34,15 @@ pub(super) fn latency(drive: &Drive) -> Figure {
         (panel.bars, beyond) = (bars, outside);
         panel.rules = rules(&latency, "ms", 1);
     }
+    let beyond = match beyond {
+        0 => String::new(),
+        count => format!("; {count} more are beyond the axis"),
+    };
     Figure::column(
         "Latency from capture to command",
         format!(
             "From the middle of the cameras' exposure to the drive command that rests on it \
-             leaving for the board, in ticks with a new pose{}.",
-            match beyond {
-                0 => String::new(),
-                count => format!("; {count} more are beyond the axis"),
-            }
+             leaving for the board, in ticks with a new pose{beyond}."
         ),
         vec![panel],
     )
@@ -52,12 +51,8 @@ pub(super) fn latency(drive: &Drive) -> Figure {
 pub(super) fn lateness(drive: &Drive) -> Figure {
     let values = drive.ticks.iter().map(|tick| tick.lateness * 1e6);
     let lateness = Distribution::of(values);
-    let mut panel = Panel::new(
-        Axis::new("lateness of a tick", None, "µs")
-            .logarithmic()
-            .including(LEAST_LATENESS),
-        Axis::new("part of the ticks", None, "%"),
-    );
+    let axis = Axis::new("lateness of a tick", None, "µs").including(LEAST_LATENESS);
+    let mut panel = Panel::new(axis.logarithmic(), PART);
     panel.bars = logarithmic(&lateness);
     panel.rules = rules(&lateness, "µs", 0);
     for rule in &mut panel.rules {

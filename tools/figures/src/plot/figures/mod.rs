@@ -58,36 +58,33 @@ impl FigureKind {
     ///
     /// What the drive lacks for it.
     pub fn draw(self, drive: &Drive) -> Result<Figure, &'static str> {
-        let (figure, lacking) = match self {
-            Self::Trajectory => (time::trajectory(drive), "no tick knows where P was"),
-            Self::Position => (time::position(drive), "no tick knows where P was"),
-            Self::CommandedVelocity => (
-                time::commanded_velocity(drive),
-                "no tick commands a velocity of P",
-            ),
-            Self::Steering => (time::steering(drive), "no tick has a steering angle"),
-            Self::Speed => (time::speed(drive), "no tick has a speed"),
-            Self::SideslipYawRate => (
-                time::sideslip_and_yaw_rate(drive),
-                "no tick has an estimate of the state",
-            ),
-            Self::TrackingError => (
-                time::tracking_error(drive),
-                "no tick knows both where P was and where it should be",
-            ),
-            Self::Latency => (
-                histogram::latency(drive),
-                "no command rests on a new pose and was written",
-            ),
-            Self::Lateness => (histogram::lateness(drive), "there are no ticks"),
+        let figure = match self {
+            Self::Trajectory => time::trajectory(drive),
+            Self::Position => time::position(drive),
+            Self::CommandedVelocity => time::commanded_velocity(drive),
+            Self::Steering => time::steering(drive),
+            Self::Speed => time::speed(drive),
+            Self::SideslipYawRate => time::sideslip_and_yaw_rate(drive),
+            Self::TrackingError => time::tracking_error(drive),
+            Self::Latency => histogram::latency(drive),
+            Self::Lateness => histogram::lateness(drive),
         };
         // The reference alone is not what it is about.
         let needs_point = matches!(self, Self::Trajectory | Self::Position);
         let has_point = drive.ticks.iter().any(|tick| tick.point[0].is_finite());
         let is_empty = figure.panels.iter().all(crate::figure::Panel::is_empty);
-        if is_empty || (needs_point && !has_point) {
-            return Err(lacking);
+        if !is_empty && (has_point || !needs_point) {
+            return Ok(figure);
         }
-        Ok(figure)
+        Err(match self {
+            Self::Trajectory | Self::Position => "no tick knows where P was",
+            Self::CommandedVelocity => "no tick commands a velocity of P",
+            Self::Steering => "no tick has a steering angle",
+            Self::Speed => "no tick has a speed",
+            Self::SideslipYawRate => "no tick has an estimate of the state",
+            Self::TrackingError => "no tick knows both where P was and where it should be",
+            Self::Latency => "no command rests on a new pose and was written",
+            Self::Lateness => "there are no ticks",
+        })
     }
 }

@@ -104,26 +104,21 @@ pub(super) fn steering(drive: &Drive) -> Figure {
 }
 
 pub(super) fn speed(drive: &Drive) -> Figure {
+    let (ticks, board) = (&drive.ticks, &drive.board);
     let curves = vec![
-        line(&drive.ticks, "reference", Look::Nominal, |it| {
-            it.commanded_speed
-        }),
-        line(&drive.ticks, "actual", Look::Actual, |it| it.speed),
+        line(ticks, "reference", Look::Nominal, |it| it.commanded_speed),
+        line(ticks, "actual", Look::Actual, |it| it.speed),
         // Above what is estimated from them, which would hide them.
-        line(&drive.board, "motor pulses", Look::Measured, |it| {
-            it.motor_speed
-        }),
+        line(board, "motor pulses", Look::Measured, |it| it.motor_speed),
         line(&drive.truth, "true", Look::Truth, |it| it.speed),
     ];
+    let pulses = ", and of the rear axle as the motor's pulses measure it";
+    let pulses = only_if(!drive.board.is_empty(), pulses);
     Figure::column(
         "Reference and actual speed",
         format!(
             "The speed of the centre of mass that the law asks for, after limits, and the car's: \
-             as estimated{}.",
-            only_if(
-                !drive.board.is_empty(),
-                ", and of the rear axle as the motor's pulses measure it"
-            )
+             as estimated{pulses}."
         ),
         vec![over_time(drive, axis("speed", "v", "", "m/s"), curves)],
     )
@@ -131,30 +126,24 @@ pub(super) fn speed(drive: &Drive) -> Figure {
 
 pub(super) fn position(drive: &Drive) -> Figure {
     let panel = |letter, along: usize| {
+        let (ticks, truth) = (&drive.ticks, &drive.truth);
         let curves = vec![
-            line(&drive.ticks, "nominal", Look::Nominal, |it| {
-                it.nominal[along]
-            }),
-            line(&drive.ticks, "actual", Look::Actual, |it| it.point[along]),
-            line(&drive.truth, "true", Look::Truth, |it| it.point[along]),
+            line(ticks, "nominal", Look::Nominal, |it| it.nominal[along]),
+            line(ticks, "actual", Look::Actual, |it| it.point[along]),
+            line(truth, "true", Look::Truth, |it| it.point[along]),
         ];
         over_time(drive, axis("position", letter, "P", "m"), curves)
     };
+    let wanted = match drive.has_positions() {
+        true => "Where the reference wants P",
+        false => "Where P would be if it integrated its commanded velocity",
+    };
+    let held = "; while the markers are lost the last pose is held and the curves stay level though \
+                the car moves";
+    let held = only_if(!drive.lost_markers().is_empty(), held);
     Figure::page(
         "Position of P over time",
-        format!(
-            "{}, and where P was{}.",
-            if drive.has_positions() {
-                "Where the reference wants P"
-            } else {
-                "Where P would be if it integrated its commanded velocity"
-            },
-            only_if(
-                !drive.lost_markers().is_empty(),
-                "; while the markers are lost the last pose is held and the curves stay level \
-                 though the car moves"
-            )
-        ),
+        format!("{wanted}, and where P was{held}."),
         vec![panel("x", 0), panel("y", 1)],
     )
 }
@@ -189,10 +178,8 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
     let true_errors = drive.truth.iter().map(|sample| drive.true_error(sample));
     let errors = drive.ticks.iter().map(TickSample::error).chain(true_errors);
     let errors: Vec<f64> = errors.filter(|error| error.is_finite()).collect();
-    let [least, most] = [
-        errors.iter().copied().fold(f64::INFINITY, f64::min),
-        errors.iter().copied().fold(0.0, f64::max),
-    ];
+    let least = errors.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = errors.iter().copied().fold(0.0, f64::max);
     // The approach and the last millimetres on one axis; but errors of one size as they are.
     let is_wide = most > 10.0 * least;
     let y = Axis {
@@ -203,18 +190,14 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
     let is_below = |error: f64| error * 1000.0 < LEAST_ERROR;
     let is_cut = is_below(least);
     // A comparison keeps the gaps, which `max` fills.
-    let mm = |error: f64| {
-        if is_below(error) {
-            LEAST_ERROR
-        } else {
-            error * 1000.0
-        }
+    let mm = |error: f64| match is_below(error) {
+        true => LEAST_ERROR,
+        false => error * 1000.0,
     };
+    let (ticks, truth) = (&drive.ticks, &drive.truth);
     let curves = vec![
-        line(&drive.ticks, "estimated", Look::Actual, |it| mm(it.error())),
-        line(&drive.truth, "true", Look::Truth, |it| {
-            mm(drive.true_error(it))
-        }),
+        line(ticks, "estimated", Look::Actual, |it| mm(it.error())),
+        line(truth, "true", Look::Truth, |it| mm(drive.true_error(it))),
     ];
     Figure::column(
         "Tracking error of P",
@@ -231,6 +214,10 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
     let what = match drive.is_estimated() {
         true => "P",
         false => "the rigid body",
+    };
+    let end = match drive.ended {
+        Some(_) => "drive ended",
+        None => "record ends",
     };
     let places = drive.ticks.iter().map(|tick| tick.point);
     let mut seen = places.filter(|point| point[0].is_finite());
@@ -250,12 +237,7 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         format!("Trajectory of {what}"),
         format!(
             "Where {what} should be and where it was on the floor, from the triangle to the circle, \
-             where the {}.",
-            if drive.ended.is_some() {
-                "drive ended"
-            } else {
-                "record ends"
-            }
+             where the {end}."
         ),
         vec![Panel {
             height_mm: 90.0,

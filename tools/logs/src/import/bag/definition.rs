@@ -83,9 +83,7 @@ impl Definition {
             let lines = texts.get(&name);
             let lines = lines.ok_or_else(|| format!("{name} is not defined"))?;
             let fields = definition.fields(&name, lines)?;
-            if let Some(message) = definition.messages.get_mut(next) {
-                message.fields = fields;
-            }
+            definition.messages[next].fields = fields;
             next += 1;
         }
         match definition.is_too_deep() {
@@ -176,28 +174,24 @@ impl Definition {
         let mut depths = vec![0; self.messages.len()];
         for _ in 0..=MAX_DEPTH {
             let below = |field: &Field| match field.kind {
-                Kind::Message(inner) => depths.get(inner).map(|depth| depth + 1),
+                Kind::Message(inner) => Some(depths[inner] + 1),
                 _ => None,
             };
             let depth = |message: &MessageType| message.fields.iter().filter_map(below).max();
             let messages = self.messages.iter();
             depths = messages.map(|one| depth(one).unwrap_or(0)).collect();
         }
-        depths.first().is_some_and(|depth| *depth > MAX_DEPTH)
+        depths[0] > MAX_DEPTH
     }
 
     /// The fields of one of the messages.
     pub(super) fn fields_of(&self, message: usize) -> &[Field] {
-        self.messages
-            .get(message)
-            .map_or(&[], |message| &message.fields)
+        &self.messages[message].fields
     }
 
     /// The name of one of the messages.
     pub(super) fn name_of(&self, message: usize) -> &str {
-        self.messages
-            .get(message)
-            .map_or("", |message| &message.name)
+        &self.messages[message].name
     }
 }
 

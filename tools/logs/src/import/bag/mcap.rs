@@ -51,10 +51,8 @@ pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportErr
         }
         match parse_record(opcode, data).map_err(damaged)? {
             Record::Schema { header, data } => {
-                schemas.insert(
-                    header.id,
-                    (header, String::from_utf8_lossy(&data).into_owned()),
-                );
+                let text = String::from_utf8_lossy(&data).into_owned();
+                schemas.insert(header.id, (header, text));
             }
             Record::Channel(channel) => {
                 let schema = schemas.get(&channel.schema_id);

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::{
-    Seconds,
     cdr::{self, Fault, Value},
     definition::{Definition, short},
+    seconds,
     wanted::{Entry, Row, Source, Wanted, message_error},
 };
 use crate::import::log::{ImportError, JITTER_NS};
@@ -83,8 +83,8 @@ impl Messages {
         if sources.peek().is_none() {
             return Ok(None);
         }
-        if let Some(other) = self.topics.get(place).filter(|one| one.kind != kind) {
-            let other = &other.kind;
+        let other = &self.topics[place].kind;
+        if *other != kind {
             return Err(wrong(format!(
                 "it has messages of type {other} too: rename one of the two"
             )));
@@ -109,16 +109,10 @@ impl Messages {
         };
         let definition =
             Definition::parse(&kind, text).map_err(|why| wrong(format!("{why}; {fix}")))?;
-        for Wanted {
-            key,
-            text,
-            path,
-            takes,
-            ..
-        } in sources.flat_map(Source::wanted)
-        {
-            path.check(&definition, *takes)
-                .map_err(|why| wrong(format!("{key} in the map names {text:?}: {why}")))?;
+        for wanted in sources.flat_map(Source::wanted) {
+            let Wanted { key, text, .. } = wanted;
+            let checked = wanted.path.check(&definition, wanted.takes);
+            checked.map_err(|why| wrong(format!("{key} in the map names {text:?}: {why}")))?;
         }
         let plan = Plan {
             topic: place,
@@ -139,12 +133,8 @@ impl Messages {
         receive_ns: u64,
         bytes: &[u8],
     ) -> Result<(), ImportError> {
-        let Some(plan) = self.plans.get(plan) else {
-            return Ok(());
-        };
-        let Some(topic) = self.topics.get_mut(plan.topic) else {
-            return Ok(());
-        };
+        let plan = &self.plans[plan];
+        let topic = &mut self.topics[plan.topic];
         topic.messages += 1;
         let number = topic.messages;
         let wrong = |why: String| message_error(&self.path, &topic.name, number, receive_ns, &why);
@@ -229,32 +219,27 @@ impl Messages {
         let topic = self.topics.iter().find(|one| one.name == source.topic);
         if topic.is_none_or(|topic| topic.messages == 0) {
             let topics = self.topics.iter();
-            let topics: Vec<_> = topics
-                .map(|one| format!("{:?} ({})", one.name, one.kind))
-                .collect();
+            let topics = topics.map(|one| format!("{:?} ({})", one.name, one.kind));
             let what = match topic {
                 Some(_) => "no messages on the topic",
                 None => "no topic",
             };
-            let (name, key, topics) = (&source.topic, source.key(), listed(&topics));
+            let (name, key, topics) = (&source.topic, source.key(), listed(topics));
             let why = format!(
                 " has {what} {name:?}, which {key} in the map names; its topics are {topics}"
             );
             return Err(ImportError::file(&self.path, why));
         }
-        match source.wanted().find(|wanted| !wanted.is_found) {
-            None => Ok(()),
-            Some(wanted) => {
-                let names = wanted.names.iter().map(|name| format!("{name:?}"));
-                let names: Vec<_> = names.collect();
-                let (key, text, names) = (&wanted.key, &wanted.text, listed(&names));
-                let kind = topic.map_or("", |topic| &topic.kind);
-                let why = format!(
-                    "no message has the element that {key} in the map names, {text:?}; there are {names}"
-                );
-                Err(topic_error(&self.path, &source.topic, kind, &why))
-            }
-        }
+        let Some(wanted) = source.wanted().find(|wanted| !wanted.is_found) else {
+            return Ok(());
+        };
+        let names = wanted.names.iter().map(|name| format!("{name:?}"));
+        let (key, text, names) = (&wanted.key, &wanted.text, listed(names));
+        let kind = topic.map_or("", |topic| &topic.kind);
+        let why = format!(
+            "no message has the element that {key} in the map names, {text:?}; there are {names}"
+        );
+        Err(topic_error(&self.path, &source.topic, kind, &why))
     }
 
     /// How many messages came after a later one of their source, by a little. Fails if the times of
@@ -263,11 +248,9 @@ impl Messages {
         let mut disordered = 0;
         let mut last = vec![0; self.sources.len()];
         for entry in &self.entries {
-            let Some(last) = last.get_mut(entry.source) else {
-                continue;
-            };
+            let last = &mut last[entry.source];
             if entry.stamp_ns + JITTER_NS < *last {
-                let back = Seconds(*last - entry.stamp_ns);
+                let back = seconds(*last - entry.stamp_ns);
                 let fault = format!(
                     "is {back} s before that of the message before: two nodes publish on the topic, or \
                      a clock was set; stamp = \"receive\" in the map takes the time of reception"
@@ -285,7 +268,7 @@ impl Messages {
         for (before, entry) in self.entries.iter().zip(self.entries.iter().skip(1)) {
             let gap_ns = entry.stamp_ns - before.stamp_ns;
             if gap_ns > longest_gap_ns {
-                let gap = Seconds(gap_ns);
+                let gap = seconds(gap_ns);
                 let fault = format!(
                     "is {gap} s after that of message {} of {:?}, the one before: if the two have other \
                      clocks, use stamp = \"receive\" in the map; if the bag has a gap, import a part of \
@@ -300,8 +283,7 @@ impl Messages {
     }
 
     fn time_error(&self, entry: &Entry, fault: &str) -> ImportError {
-        let source = self.sources.get(entry.source);
-        let stamp = source.and_then(|source| source.stamp.as_ref());
+        let stamp = self.sources[entry.source].stamp.as_ref();
         let stamp = stamp.map_or("time of reception", |wanted| &wanted.text);
         entry.error(&self.path, &self.sources, &format!(": its {stamp} {fault}"))
     }
@@ -330,7 +312,8 @@ fn stamp_ns(time: &Value<'_>) -> Result<u64, &'static str> {
     }
 }
 
-fn listed(names: &[String]) -> String {
+fn listed(names: impl Iterator<Item = String>) -> String {
+    let names: Vec<_> = names.collect();
     match names.is_empty() {
         true => "none".to_owned(),
         false => names.join(", "),

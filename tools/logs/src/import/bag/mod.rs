@@ -53,12 +53,6 @@ fn unreadable(path: &Path, why: impl fmt::Display) -> ImportError {
 }
 
 /// A time in ns, written in seconds with all digits.
-struct Seconds(u64);
-
-impl fmt::Display for Seconds {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self(ns) = self;
-        let (seconds, rest) = (ns / 1_000_000_000, ns % 1_000_000_000);
-        write!(formatter, "{seconds}.{rest:09}")
-    }
+fn seconds(ns: u64) -> String {
+    format!("{}.{:09}", ns / 1_000_000_000, ns % 1_000_000_000)
 }

@@ -3,9 +3,9 @@
 use std::{collections::BTreeSet, path};
 
 use super::{
-    Seconds,
     cdr::{Fault, Value},
     path::{Element, Part, Path, Takes},
+    seconds,
 };
 use crate::import::{
     log::ImportError,
@@ -168,8 +168,7 @@ pub(super) struct Entry {
 impl Entry {
     /// The topic of the message, in errors.
     pub(super) fn topic<'a>(&self, sources: &'a [Source]) -> &'a str {
-        let source = sources.get(self.source);
-        source.map_or("", |source| &source.topic)
+        &sources[self.source].topic
     }
 
     /// An error in the message.
@@ -187,7 +186,7 @@ pub(super) fn message_error(
     receive_ns: u64,
     why: &str,
 ) -> ImportError {
-    let seconds = Seconds(receive_ns);
+    let seconds = seconds(receive_ns);
     let message = format!(", topic {topic:?}, message {number} (received at {seconds} s)");
     ImportError::file(path, message + why)
 }
@@ -210,9 +209,7 @@ impl row::Row for Row<'_> {
     }
 
     fn wrong(&self, place: Place, expected: &str) -> ImportError {
-        let source = self.sources.get(place.source);
-        let field = source.and_then(|source| source.fields.get(place.index));
-        let field = field.map_or("", |field| &field.text);
+        let field = &self.sources[place.source].fields[place.index].text;
         let value = self.number(place).unwrap_or(f64::NAN);
         let why = format!(
             ", field {field:?}: {value} is not {expected}: leave the time of the message out of the bag \
