@@ -5,16 +5,10 @@ pub(super) type Piece = Vec<[f64; 2]>;
 
 /// The pieces between points that are not numbers.
 pub(super) fn pieces(points: impl Iterator<Item = [f64; 2]>) -> Vec<Piece> {
-    let mut pieces = vec![Piece::new()];
-    for point in points {
-        if !(point[0].is_finite() && point[1].is_finite()) {
-            pieces.push(Piece::new());
-        } else if let Some(piece) = pieces.last_mut() {
-            piece.push(point);
-        }
-    }
-    pieces.retain(|piece| !piece.is_empty());
-    pieces
+    let points: Piece = points.collect();
+    let is_gap = |[x, y]: &[f64; 2]| !(x.is_finite() && y.is_finite());
+    let pieces = points.split(is_gap).filter(|piece| !piece.is_empty());
+    pieces.map(<[_]>::to_vec).collect()
 }
 
 /// First, lowest, highest and last of the points in each column of `width`, for a

@@ -37,7 +37,7 @@ pub struct Change {
 }
 
 /// One drive: from its first driving tick until the car stands, or the record ends.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Drive {
     /// The pilot's time of the first driving tick, in ns of the host's monotonic
     /// clock: the zero of all times below.
@@ -96,11 +96,8 @@ impl Recording {
                 .map_or(0, |time| (time * 1e9).round() as u64);
             self.drives.push(Drive {
                 start_ns: tick.pilot_time.0.saturating_sub(driven_ns),
-                ticks: Vec::new(),
-                board: Vec::new(),
                 configuration: self.configuration,
-                ended: None,
-                truth: Vec::new(),
+                ..Drive::default()
             });
         }
         if let Some(drive) = self.open_drive() {

@@ -314,10 +314,7 @@ pub fn write_report(
 
 /// The folder of a record's figures: `drives/one.mcap` has `drives/one`.
 fn beside(record: &Path) -> PathBuf {
-    let name = record
-        .file_name()
-        .map(|name| name.to_string_lossy().into_owned());
-    let name = name.unwrap_or_default();
+    let name = record.file_name().unwrap_or_default().to_string_lossy();
     let stem = name.strip_suffix(".part").unwrap_or(&name);
     match stem.strip_suffix(".mcap") {
         Some(stem) if !stem.is_empty() => record.with_file_name(stem),

@@ -88,11 +88,8 @@ pub fn import(
     let recorder = Recorder::create(out, &meta)?.without_timed_flushes();
     let first = logs.first().copied().unwrap_or(out);
     let result = write(recorder, &contents, first, progress);
-    if result.is_err() {
-        // The error that matters is the first one.
-        let _ = fs::remove_file(part_path(out));
-    }
-    result
+    // The error that matters is the first one.
+    result.inspect_err(|_| drop(fs::remove_file(part_path(out))))
 }
 
 fn read(logs: &[&Path], map: &Path) -> Result<Log, ImportError> {

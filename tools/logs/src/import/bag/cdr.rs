@@ -25,13 +25,9 @@ pub(super) enum Fault {
         "has {0} bytes more than its type: the bag has another version of the type; convert it with `ros2 bag convert` to MCAP, which holds the definitions"
     )]
     Long(usize),
-    /// A list has too few elements.
-    #[error("has {count} elements in {list}, and the map names number {index}, counted from 0")]
-    Element {
-        list: String,
-        count: usize,
-        index: u32,
-    },
+    /// A list, by its name, has too few elements.
+    #[error("has {1} elements in {0}, and the map names number {2}, counted from 0")]
+    Element(String, usize, u32),
 }
 
 /// A message, a field of one, or an element of a list.

@@ -73,18 +73,16 @@ pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportErr
     let mut rows = statement.query([]).map_err(failed)?;
     while let Some(row) = rows.next().map_err(failed)? {
         let topic: i64 = row.get(0).map_err(failed)?;
-        let id = ids.get(&topic).ok_or_else(|| {
+        let unknown = || {
             damaged(format!(
                 "a message is of topic {topic}, which is not described"
             ))
-        })?;
+        };
+        let id = ids.get(&topic).ok_or_else(unknown)?;
         if let Some(id) = id {
-            let receive_ns: i64 = row.get(1).map_err(failed)?;
-            let receive_ns = u64::try_from(receive_ns).map_err(|_| {
-                damaged(format!(
-                    "a message was received at {receive_ns} ns, before 1970"
-                ))
-            })?;
+            let ns: i64 = row.get(1).map_err(failed)?;
+            let early = |_| damaged(format!("a message was received at {ns} ns, before 1970"));
+            let receive_ns = u64::try_from(ns).map_err(early)?;
             let data = row.get_ref(2).map_err(failed)?;
             let data = data.as_blob().map_err(|error| failed(error.into()))?;
             messages.message(*id, receive_ns, data)?;

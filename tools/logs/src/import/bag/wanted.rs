@@ -94,13 +94,8 @@ impl Wanted {
             value = match element {
                 None => value,
                 Some(Element::Index(index)) => {
-                    elements
-                        .get(*index as usize)
-                        .ok_or_else(|| Fault::Element {
-                            list: field.clone(),
-                            count: elements.len(),
-                            index: *index,
-                        })?
+                    let missing = || Fault::Element(field.clone(), elements.len(), *index);
+                    elements.get(*index as usize).ok_or_else(missing)?
                 }
                 Some(Element::Named { key, value: name }) => {
                     let is_named = |one: &&Value<'_>| one.field(key).text() == name;
