@@ -124,8 +124,7 @@ impl Obstacles {
 }
 
 pub(super) fn segments(points: &[[f64; 2]]) -> impl Iterator<Item = Segment> + '_ {
-    let ends = points.iter().zip(points.iter().skip(1));
-    ends.map(|(from, to)| [*from, *to])
+    points.array_windows().copied()
 }
 
 /// The place at a part of the way from one point to another.

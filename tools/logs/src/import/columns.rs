@@ -1,8 +1,7 @@
 //! The sensors and commands of a log, column by column.
 
 use super::{
-    log::ImportError,
-    log::Log,
+    log::{ImportError, Log},
     map::{Acceleration, ImuSection, Map, MotorSection, Quantity, interpolation, nanoseconds},
     row::{Header, Row},
     sensor::{Column, Poses, Sensor},

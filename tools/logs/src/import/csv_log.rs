@@ -13,7 +13,7 @@ use super::{
     columns::Columns,
     decimal,
     log::{ImportError, JITTER_NS, Log, duration},
-    map::{Map, Messages, TimeSection, nanoseconds},
+    map::{Map, Messages, TimeSection},
     row::{self, Place},
 };
 
@@ -157,7 +157,7 @@ impl<'a> Clock<'a> {
                  those of another log",
                 duration(since_ns)
             )
-        } else if since_ns > nanoseconds(self.section.longest_gap_s) {
+        } else if since_ns > self.section.longest_gap_ns() {
             format!(
                 " is {} after the row above: remove the rows on one side of the gap, \
                  correct time.unit in the map, or raise its time.longest_gap_s",

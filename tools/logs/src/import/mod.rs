@@ -32,8 +32,7 @@ use std::{collections::BTreeMap, fs, path::Path};
 
 use singletrack_record::{ClockMapping, Entry, Meta, Recorder, part_path};
 
-pub use log::ImportError;
-pub use log::Summary;
+pub use log::{ImportError, Summary};
 pub use map::{
     Acceleration, Angle, AngularVelocity, CommandSection, Dimension, DrivingSection, EmptyRows,
     ImuSection, Length, Map, MotorSection, PoseSection, Quantity, Speed, SteeringSection,

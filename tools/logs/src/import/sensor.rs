@@ -164,13 +164,6 @@ struct Exposures {
 const LARGEST_JITTER: f64 = 0.4;
 
 impl Exposures {
-    fn new(rate_hz: f64) -> Self {
-        Self {
-            period_ns: 1e9 / rate_hz,
-            last_ns: None,
-        }
-    }
-
     /// The exposure of a message.
     fn of(&mut self, message_ns: u64) -> u64 {
         let message = message_ns as f64;
@@ -223,7 +216,10 @@ impl<'a> Poses<'a> {
             tracked: header.find_if("pose.tracked", messages, &section.tracked)?,
             new_rows: NewRows::new(changes),
             delay_ns: nanoseconds(section.delay_s),
-            exposures: section.exposures_hz.map(Exposures::new),
+            exposures: section.exposures_hz.map(|rate_hz| Exposures {
+                period_ns: 1e9 / rate_hz,
+                last_ns: None,
+            }),
             poses: Vec::new(),
         })
     }

@@ -108,10 +108,8 @@ pub(super) fn draw_isolines(
         }
         let extent = |piece: &Piece| segments(piece).map(length).sum::<f64>();
         let longest = pieces.iter().map(extent).fold(0.0, f64::max);
-        for piece in pieces {
-            if extent(piece) < longest.min(LONG) {
-                continue;
-            }
+        let is_long = |piece: &&Piece| extent(piece) >= longest.min(LONG);
+        for piece in pieces.iter().filter(is_long) {
             let parts = (extent(piece) / EVERY).floor().max(1.0) as usize;
             let walk = Walk::along(piece);
             for part in 0..parts {

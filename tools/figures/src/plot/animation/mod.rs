@@ -168,11 +168,11 @@ impl Frames {
 
     /// The path of P, drawn as far as P has gone.
     fn trail(&self, seconds: &str) -> String {
-        let pairs = || self.point.iter().zip(self.point.iter().skip(1));
-        let length: f64 = pairs().map(|(one, other)| distance(*one, *other)).sum();
+        let steps = || self.point.array_windows();
+        let length: f64 = steps().map(|[one, other]| distance(*one, *other)).sum();
         let mut rest = length;
         let mut offsets = format!("{length:.3}");
-        for (one, other) in pairs() {
+        for [one, other] in steps() {
             rest = (rest - distance(*one, *other)).max(0.0);
             let _ = write!(offsets, ";{rest:.3}");
         }

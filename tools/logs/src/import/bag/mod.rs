@@ -16,9 +16,8 @@ pub(super) use files::{check, is_bag};
 use super::{
     FIRST_ROW_NS,
     columns::Columns,
-    log::ImportError,
-    log::Log,
-    map::{Map, nanoseconds},
+    log::{ImportError, Log},
+    map::Map,
 };
 use files::Storage;
 use messages::Messages;
@@ -34,7 +33,7 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
             Storage::Sqlite => sqlite::read(&file, &mut messages)?,
         }
     }
-    let sorted = messages.sort(nanoseconds(map.time.longest_gap_s))?;
+    let sorted = messages.sort(map.time.longest_gap_ns())?;
     let mut span = None;
     for (time_ns, row) in messages.rows() {
         let (first_ns, _) = *span.get_or_insert((time_ns, time_ns));

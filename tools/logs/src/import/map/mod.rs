@@ -367,7 +367,7 @@ fn check_sensor(
 }
 
 /// The time of a row: of a CSV file in a column, of a bag in each message.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TimeSection {
     /// The column of a CSV file.
@@ -377,24 +377,11 @@ pub struct TimeSection {
     /// Whether it counts from the start of 1970, UTC. Otherwise its zero has no meaning.
     pub unix: Option<bool>,
     /// The longest time between two rows that is not taken for an error of the log, in s.
-    #[serde(default = "longest_gap_s")]
-    pub longest_gap_s: f64,
+    pub longest_gap_s: Option<f64>,
 }
 
-const fn longest_gap_s() -> f64 {
-    10.0
-}
-
-impl Default for TimeSection {
-    fn default() -> Self {
-        Self {
-            column: None,
-            unit: None,
-            unix: None,
-            longest_gap_s: longest_gap_s(),
-        }
-    }
-}
+/// The longest time between two rows, in s, unless the map says another one.
+const LONGEST_PAUSE_S: f64 = 10.0;
 
 /// The unit of a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -428,7 +415,13 @@ impl TimeUnit {
 
 impl TimeSection {
     pub(super) fn check(&self) -> Result<(), String> {
-        check_positive("time.longest_gap_s", self.longest_gap_s)
+        let gap_s = self.longest_gap_s.unwrap_or(LONGEST_PAUSE_S);
+        check_positive("time.longest_gap_s", gap_s)
+    }
+
+    /// The longest time between two rows, in ns.
+    pub(in crate::import) fn longest_gap_ns(&self) -> u64 {
+        nanoseconds(self.longest_gap_s.unwrap_or(LONGEST_PAUSE_S))
     }
 
     /// Fails if the section is not one for a CSV file.
