@@ -4,8 +4,6 @@
 //! They follow from the entries and add nothing to them: a [`crate::Reader`] skips them. Names, order
 //! and types of the fields are those of the packages.
 
-use std::fmt;
-
 use serde::Serialize;
 
 use crate::message::Definition;
@@ -17,86 +15,76 @@ pub const ODOM_FRAME: &str = "odom";
 /// The frame of the car: origin in the centre of mass G, x forward, y left, z up.
 pub const BASE_FRAME: &str = "base_link";
 
-/// Declares the topics: each with the type of its messages and its channel.
-macro_rules! standard_topics {
-    (
-        $(#[$about:meta])*
-        pub enum StandardTopic {
-            $( $(#[$topic_about:meta])* $topic:ident: $message:ty = $channel:literal, )*
-        }
-    ) => {
-        $(#[$about])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        pub enum StandardTopic {
-            $( $(#[$topic_about])* $topic, )*
-        }
-
-        impl StandardTopic {
-            /// All topics.
-            pub const ALL: [Self; [$($channel),*].len()] = [$(Self::$topic,)*];
-
-            /// Its channel in the file, named as ROS names topics.
-            pub const fn channel(self) -> &'static str {
-                match self {
-                    $(Self::$topic => $channel,)*
-                }
-            }
-
-            /// The name of its messages' type, such as `nav_msgs/msg/Odometry`.
-            pub fn schema_name(self) -> String {
-                match self {
-                    $(Self::$topic => schema_name::<$message>(),)*
-                }
-            }
-
-            /// The definition of its messages' type, with all messages within it.
-            pub fn schema_text(self) -> String {
-                match self {
-                    $(Self::$topic => schema_text::<$message>(),)*
-                }
-            }
-        }
-    };
-}
-
-standard_topics! {
+singletrack_control::words! {
     /// A topic with messages of a standard type, under the name that tools look for.
     ///
     /// The stamp of a message is the wall time of what it describes.
+    #[derive(Hash)]
     pub enum StandardTopic {
         /// `nav_msgs/msg/Odometry` from the estimate of a tick: the pose of
         /// [`BASE_FRAME`] in [`ODOM_FRAME`]; the velocity of G in [`BASE_FRAME`]; covariances
         /// of the filter, and 1e6 for what a car on the floor does not do.
-        Odometry: Odometry = "/odom",
+        Odometry = "/odom",
         /// `tf2_msgs/msg/TFMessage`: [`ODOM_FRAME`] in [`MAP_FRAME`], and [`BASE_FRAME`] in
         /// [`ODOM_FRAME`], with which viewers move the car.
-        Transforms: TfMessage = "/tf",
+        Transforms = "/tf",
         /// `geometry_msgs/msg/PoseStamped` from a valid pose of the rigid body: its
         /// pivot, and its yaw alone, in [`MAP_FRAME`], at mid-exposure.
-        MocapPose: PoseStamped = "/mocap/pose",
+        MocapPose = "/mocap/pose",
         /// `sensor_msgs/msg/Imu` from telemetry with a new sample whose time is
         /// known, in the axes of [`BASE_FRAME`]. Its acceleration is **without
         /// gravity**. The zero of its yaw is that of the sensor.
-        Imu: Imu = "/imu",
+        Imu = "/imu",
         /// `ackermann_msgs/msg/AckermannDriveStamped` from the command of a tick.
         /// Speed is that of the rear axle.
-        Command: AckermannDriveStamped = "/cmd",
+        Command = "/cmd",
         /// `geometry_msgs/msg/PointStamped`: where P should be, if the reference has
         /// a position.
-        Reference: PointStamped = "/reference",
+        Reference = "/reference",
         /// `geometry_msgs/msg/PointStamped`: where P is, as far as the law knows.
-        PointP: PointStamped = "/point_p",
+        PointP = "/point_p",
         /// `diagnostic_msgs/msg/DiagnosticArray`: states of pilot, board and record, at each
         /// status of the board and at each change of mode, reason, link or drops.
-        Diagnostics: DiagnosticArray = "/diagnostics",
+        Diagnostics = "/diagnostics",
         /// `rcl_interfaces/msg/Log` from a line of the log.
-        Rosout: Log = "/rosout",
+        Rosout = "/rosout",
     }
 }
 
-impl fmt::Display for StandardTopic {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.channel())
+impl StandardTopic {
+    /// Its channel in the file, named as ROS names topics.
+    pub const fn channel(self) -> &'static str {
+        self.name()
+    }
+
+    /// The name of its messages' type, such as `nav_msgs/msg/Odometry`.
+    pub fn schema_name(self) -> String {
+        self.message().0.replace('/', "/msg/")
+    }
+
+    /// The definition of its messages' type, with all messages within it.
+    pub fn schema_text(self) -> String {
+        let mut definition = Definition::default();
+        self.message().1(&mut definition);
+        definition.finish()
+    }
+
+    /// The name of its messages' type in other messages, and what declares its fields.
+    fn message(self) -> (&'static str, fn(&mut Definition)) {
+        fn of<M: StandardMessage>() -> (&'static str, fn(&mut Definition)) {
+            (M::NAME, M::define)
+        }
+        match self {
+            Self::Odometry => of::<Odometry>(),
+            Self::Transforms => of::<TfMessage>(),
+            Self::MocapPose => of::<PoseStamped>(),
+            Self::Imu => of::<Imu>(),
+            Self::Command => of::<AckermannDriveStamped>(),
+            Self::Reference => of::<PointStamped>(),
+            Self::PointP => of::<PointStamped>(),
+            Self::Diagnostics => of::<DiagnosticArray>(),
+            Self::Rosout => of::<Log>(),
+        }
     }
 }
 
@@ -107,18 +95,6 @@ pub(crate) trait StandardMessage: Serialize {
 
     /// Declares its constants and fields.
     fn define(definition: &mut Definition);
-}
-
-/// The name of a message's schema, such as `geometry_msgs/msg/Pose`.
-fn schema_name<M: StandardMessage>() -> String {
-    M::NAME.replace('/', "/msg/")
-}
-
-/// The text of a message's schema with all messages within it.
-fn schema_text<M: StandardMessage>() -> String {
-    let mut definition = Definition::default();
-    M::define(&mut definition);
-    definition.finish()
 }
 
 /// The type of a field.
@@ -162,6 +138,12 @@ impl Field for Byte {
     }
 }
 
+impl<M: StandardMessage> Field for M {
+    fn declare(name: &str, definition: &mut Definition) {
+        definition.message(M::NAME, M::define, name, "");
+    }
+}
+
 impl<M: StandardMessage> Field for Vec<M> {
     fn declare(name: &str, definition: &mut Definition) {
         definition.message(M::NAME, M::define, name, "[]");
@@ -200,12 +182,6 @@ macro_rules! standard {
                         $( definition.comment($comment); )*
                         <$kind as Field>::declare(stringify!($field), definition);
                     )*
-                }
-            }
-
-            impl Field for $type {
-                fn declare(name: &str, definition: &mut Definition) {
-                    definition.message(Self::NAME, Self::define, name, "");
                 }
             }
         )*

@@ -204,11 +204,6 @@ impl TickOutput {
         let _ = self.heads.pop();
         Some(tick)
     }
-
-    /// Whether the input is gone.
-    pub fn is_abandoned(&self) -> bool {
-        self.heads.is_abandoned()
-    }
 }
 
 #[cfg(test)]
@@ -383,9 +378,9 @@ pub(crate) mod tests {
             assert_eq!(output.pop(), Some(tick));
         }
         assert_eq!(output.pop(), None);
-        assert!(!output.is_abandoned());
+        assert!(!output.heads.is_abandoned());
         drop(input);
-        assert!(output.is_abandoned());
+        assert!(output.heads.is_abandoned());
     }
 
     #[test]

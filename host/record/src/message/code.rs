@@ -36,115 +36,109 @@ pub(crate) trait Coded: Copy + PartialEq + 'static {
     fn word(self) -> &'static str;
 }
 
-fn declare<C: Coded>(optional: bool, name: &str, definition: &mut Definition) {
-    // The constants of a second field of the same type have its name.
-    let prefix = match definition.has_constants(C::PREFIX) {
-        true => name.to_uppercase(),
-        false => C::PREFIX.to_owned(),
-    };
-    if optional {
-        definition.plain("uint8", &format!("{prefix}_NONE=0"));
-    }
-    let mut values = C::CODED.to_vec();
-    values.sort_by_key(|value| value.code());
-    for value in values {
-        let word = value.word().to_uppercase().replace('-', "_");
-        definition.plain("uint8", &format!("{prefix}_{word}={}", value.code()));
-    }
-    definition.plain("uint8", name);
+/// What one number stands for: a value, or, where there may be none, a value or none, which is 0.
+pub(crate) trait Numbered: Copy {
+    /// The enumeration.
+    type Kind: Coded;
+
+    /// What stands where a message is absent.
+    const ABSENT: Self;
+
+    /// The value, if there is one.
+    fn kind(self) -> Option<Self::Kind>;
+
+    /// What stands for this value or for none; `None` if there must be one.
+    fn of(kind: Option<Self::Kind>) -> Option<Self>;
 }
 
-fn from_code<C: Coded, E: Error>(code: u8) -> Result<C, E> {
-    C::CODED
-        .iter()
-        .copied()
-        .find(|value| value.code() == code)
-        .ok_or_else(|| E::custom(format!("{code} is none of the {}_ constants", C::PREFIX)))
+impl<C: Coded> Numbered for C {
+    type Kind = C;
+
+    const ABSENT: Self = C::FIRST;
+
+    fn kind(self) -> Option<C> {
+        Some(self)
+    }
+
+    fn of(kind: Option<C>) -> Option<Self> {
+        kind
+    }
 }
 
-/// A value by its number.
+impl<C: Coded> Numbered for Option<C> {
+    type Kind = C;
+
+    const ABSENT: Self = None;
+
+    fn kind(self) -> Self {
+        self
+    }
+
+    fn of(kind: Self) -> Option<Self> {
+        Some(kind)
+    }
+}
+
+/// A value, or perhaps none, by its number.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Code<C>(pub(crate) C);
+pub(crate) struct Code<N>(pub(crate) N);
 
-impl<C: Coded> Serialize for Code<C> {
+impl<N: Numbered> Serialize for Code<N> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.0.code().serialize(serializer)
+        let code = self.0.kind().map_or(0, Coded::code);
+        code.serialize(serializer)
     }
 }
 
-impl<'de, C: Coded> Deserialize<'de> for Code<C> {
+impl<'de, N: Numbered> Deserialize<'de> for Code<N> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        from_code(u8::deserialize(deserializer)?).map(Self)
+        let code = u8::deserialize(deserializer)?;
+        let mut values = N::Kind::CODED.iter().copied();
+        let kind = values.find(|value| value.code() == code);
+        let number = N::of(kind).filter(|_| kind.is_some() || code == 0);
+        number.map(Self).ok_or_else(|| {
+            let prefix = N::Kind::PREFIX;
+            D::Error::custom(format!("{code} is none of the {prefix}_ constants"))
+        })
     }
 }
 
-/// A value by its number, or 0 for none.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct OptionalCode<C>(pub(crate) Option<C>);
-
-impl<C: Coded> Serialize for OptionalCode<C> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.0.map_or(0, Coded::code).serialize(serializer)
-    }
-}
-
-impl<'de, C: Coded> Deserialize<'de> for OptionalCode<C> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        match u8::deserialize(deserializer)? {
-            0 => Ok(Self(None)),
-            code => from_code(code).map(|value| Self(Some(value))),
+impl<N: Numbered> Field for Code<N> {
+    fn declare(name: &'static str, definition: &mut Definition) {
+        let prefix = N::Kind::PREFIX;
+        // The constants of a second field of the same type have its name.
+        let prefix = match definition.has_constants(prefix) {
+            true => name.to_uppercase(),
+            false => prefix.to_owned(),
+        };
+        if N::of(None).is_some() {
+            definition.plain("uint8", &format!("{prefix}_NONE=0"));
         }
-    }
-}
-
-impl<C: Coded> Field for Code<C> {
-    fn declare(name: &'static str, definition: &mut Definition) {
-        declare::<C>(false, name, definition);
-    }
-
-    fn absent() -> Self {
-        Self(C::FIRST)
-    }
-
-    fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
-        visitor.value(name, Value::Text(self.0.word().into()));
-    }
-}
-
-impl<C: Coded> Field for OptionalCode<C> {
-    fn declare(name: &'static str, definition: &mut Definition) {
-        declare::<C>(true, name, definition);
+        let mut values = N::Kind::CODED.to_vec();
+        values.sort_by_key(|value| value.code());
+        for value in values {
+            let word = value.word().to_uppercase().replace('-', "_");
+            definition.plain("uint8", &format!("{prefix}_{word}={}", value.code()));
+        }
+        definition.plain("uint8", name);
     }
 
     fn absent() -> Self {
-        Self(None)
+        Self(N::ABSENT)
     }
 
     fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
-        visitor.value(
-            name,
-            self.0
-                .map_or(Value::Absent, |value| Value::Text(value.word().into())),
-        );
+        let word = |kind: N::Kind| Value::Text(kind.word().into());
+        visitor.value(name, self.0.kind().map_or(Value::Absent, word));
     }
 }
 
-impl<C: Coded> Represents<C> for Code<C> {
-    fn of(value: &C) -> Self {
+impl<N: Numbered> Represents<N> for Code<N> {
+    fn of(value: &N) -> Self {
         Self(*value)
     }
 
-    fn value(self) -> Result<C, String> {
-        Ok(self.0)
-    }
-}
-
-impl<C: Coded> Represents<Option<C>> for OptionalCode<C> {
-    fn of(value: &Option<C>) -> Self {
-        Self(*value)
-    }
-
-    fn value(self) -> Result<Option<C>, String> {
+    fn value(self) -> Result<N, String> {
         Ok(self.0)
     }
 }

@@ -10,7 +10,7 @@ use singletrack_pilot::{
 };
 
 use super::{
-    code::{Code, OptionalCode},
+    code::Code,
     declare::{Fields, choice, fields, message},
     field::{GainMessage, Group, Maybe, Part, PointMessage, Represents, VelocityMessage},
 };
@@ -23,11 +23,11 @@ choice! {
         1 "pose" Pose(pose: Maybe<PoseSampleMessage>, "its pose"),
         2 "pose-missing" PoseMissing(
             /// Reason why a frame brought no pose.
-            pose_missing: OptionalCode<PoseMissing>, "why the pose is missing"
+            pose_missing: Code<Option<PoseMissing>>, "why the pose is missing"
         ),
         3 "board" Board(board: Maybe<BoardSampleMessage>, "the board's sample"),
-        4 "link" Link(link: OptionalCode<LinkState>, "the link"),
-        5 "request" Request(request: OptionalCode<PilotRequest>, "the request"),
+        4 "link" Link(link: Code<Option<LinkState>>, "the link"),
+        5 "request" Request(request: Code<Option<PilotRequest>>, "the request"),
         6 "arm-refused" ArmRefused,
         7 "health" Health(health: Maybe<BoardHealthMessage>, "the board's health"),
         8 "line" Line(line: Maybe<LineHealthMessage>, "the line's health"),

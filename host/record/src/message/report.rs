@@ -8,7 +8,7 @@ use singletrack_protocol::{
 };
 
 use super::{
-    code::{BindingKind, Code, OptionalCode, PoseKind},
+    code::{BindingKind, Code, PoseKind},
     declare::{Fields, array, fields, message},
     field::{Group, Maybe, Part, Represents},
 };
@@ -149,9 +149,9 @@ message! {
         /// The pose, if it is valid.
         pose: Maybe<PoseValueMessage>,
         /// Why a pose is not believed.
-        rejected: OptionalCode<RejectReason>,
+        rejected: Code<Option<RejectReason>>,
         /// What the model definitions say of the car's name, if it has no id.
-        binding: OptionalCode<BindingKind>,
+        binding: Code<Option<BindingKind>>,
         /// The car's streaming id, if it is bound.
         binding_id: Maybe<i32>,
         /// How many bodies have the car's name, if it is ambiguous.
@@ -213,7 +213,7 @@ impl Represents<Observation> for PoseMessage {
                     }
                 };
                 Self {
-                    binding: OptionalCode(Some(kind)),
+                    binding: Code(Some(kind)),
                     binding_id: Maybe(id),
                     binding_count: Maybe(count),
                     ..of(PoseKind::Unbound)
@@ -226,11 +226,11 @@ impl Represents<Observation> for PoseMessage {
             PoseState::Untracked => of(PoseKind::Untracked),
             PoseState::Absent => of(PoseKind::Absent),
             PoseState::Rejected(reason) => Self {
-                rejected: OptionalCode(Some(reason)),
+                rejected: Code(Some(reason)),
                 ..of(PoseKind::Rejected)
             },
             PoseState::LockedOut(reason) => Self {
-                rejected: OptionalCode(Some(reason)),
+                rejected: Code(Some(reason)),
                 ..of(PoseKind::LockedOut)
             },
             PoseState::Stale { silent_ns } => Self {

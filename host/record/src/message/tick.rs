@@ -6,7 +6,7 @@ use singletrack_pilot::{
 };
 
 use super::{
-    code::{Code, OptionalCode},
+    code::Code,
     declare::{array, fields, message},
     event::{EventMessage, JogMessage, StampMessage},
     field::{GainMessage, Group, Maybe, PointMessage, VelocityMessage},
@@ -53,7 +53,7 @@ fields! {
         /// Mode of the pilot after the tick.
         mode: Code<Mode>,
         /// Reason why the car does not drive, or stopped.
-        reason: OptionalCode<Reason>,
+        reason: Code<Option<Reason>>,
         /// Whether no pose was accepted since the last tick.
         held: bool,
         /// Whether the car is turning round.
@@ -75,7 +75,7 @@ fields! {
         /// Drive command for the board.
         command: Maybe<CommandMessage>,
         /// Request to the board.
-        request: OptionalCode<BoardRequest>,
+        request: Code<Option<BoardRequest>>,
         /// Whether the first metre of an unproved configuration has just passed.
         proved: bool,
         /// Whether a proved configuration has just been contradicted.
@@ -84,13 +84,13 @@ fields! {
         braking_measured_m_s2: Maybe<f64> = braking_measured,
         /// Reason why an arm request would be refused; none if it would not, or while a drive
         /// is underway.
-        preflight: OptionalCode<Reason>,
+        preflight: Code<Option<Reason>>,
         /// Bare pulses for the board.
         jog: Maybe<JogMessage>,
         /// Newest set-point from outside that was not refused.
         setpoint: Maybe<StampMessage>,
         /// Reason why a set-point that came in this tick is not obeyed; of several the newest.
-        setpoint_refused: OptionalCode<SetpointRefusal>,
+        setpoint_refused: Code<Option<SetpointRefusal>>,
         /// Action of the safety filter.
         filtering: Code<Filtering>,
         /// Number of ticks of this or the last drive in which the safety filter acted.
@@ -99,7 +99,7 @@ fields! {
         /// has slowed the reference down.
         path_s: Maybe<f64> = path,
         /// Reason why the reference is slowed down.
-        slowed_by: OptionalCode<SlowedBy>,
+        slowed_by: Code<Option<SlowedBy>>,
         /// Tuned values in force; absent if nothing can be tuned.
         tuned: Maybe<TunedMessage>,
         /// Covariances of the estimate.

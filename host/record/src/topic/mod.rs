@@ -4,7 +4,7 @@
 #[cfg(test)]
 pub(crate) mod tests;
 
-use std::{fmt, str::FromStr};
+use std::str::FromStr;
 
 use singletrack_mocap::PoseState;
 
@@ -24,39 +24,40 @@ macro_rules! topics {
     ($then:ident $($arguments:tt)*) => {
         $then! {
             [$($arguments)*]
+            /// [`Entry::Tick`].
             Tick: TickMessage = "tick" at start_ns,
+            /// [`Entry::Telemetry`].
             Telemetry: TelemetryMessage = "telemetry" at receive_time_ns,
+            /// [`Entry::Status`].
             Status: StatusMessage = "status" at receive_time_ns,
+            /// [`Entry::Pose`].
             Pose: PoseMessage = "pose" at receive_time_ns,
+            /// [`Entry::Log`].
             Log: LogMessage = "log" at time_ns,
+            /// [`Entry::Configuration`].
             Configuration: ConfigurationMessage = "configuration" at time_ns,
+            /// [`Entry::Drops`].
             Drops: DropsMessage = "drops" at time_ns,
         }
     };
 }
 
 macro_rules! declare {
-    ([] $($topic:ident: $message:ident = $name:literal at $time:ident,)*) => {
-        /// A kind of [`Entry`].
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        pub enum Topic {
-            $(
-                #[doc = concat!("[`Entry::", stringify!($topic), "`].")]
-                $topic,
-            )*
+    ([]
+        $(
+            #[doc = $about:literal]
+            $topic:ident: $message:ident = $name:literal at $time:ident,
+        )*
+    ) => {
+        singletrack_control::words! {
+            /// A kind of [`Entry`]. Its word is its name, on the command line and in JSON.
+            #[derive(Hash)]
+            pub enum Topic {
+                $(#[doc = $about] $topic = $name,)*
+            }
         }
 
         impl Topic {
-            /// All topics.
-            pub const ALL: [Self; [$($name),*].len()] = [$(Self::$topic,)*];
-
-            /// Its name, on the command line and in JSON.
-            pub const fn name(self) -> &'static str {
-                match self {
-                    $(Self::$topic => $name,)*
-                }
-            }
-
             /// Its channel in the file, named as ROS names topics.
             pub const fn channel(self) -> &'static str {
                 match self {
@@ -88,7 +89,7 @@ topics!(declare);
 macro_rules! match_topic {
     (
         [$value:expr, $message:ident of $entry:ident => $result:expr]
-        $($topic:ident: $type:ident = $name:literal at $time:ident,)*
+        $(#[$about:meta] $topic:ident: $type:ident = $name:literal at $time:ident,)*
     ) => {
         match $value {
             $(Topic::$topic => {
@@ -115,7 +116,7 @@ macro_rules! with_message {
 macro_rules! match_entry {
     (
         [$value:expr, $message:ident => $result:expr]
-        $($topic:ident: $type:ident = $name:literal at $time:ident,)*
+        $(#[$about:meta] $topic:ident: $type:ident = $name:literal at $time:ident,)*
     ) => {
         match $value {
             $(Entry::$topic(entry) => {
@@ -202,12 +203,6 @@ impl Topic {
     }
 }
 
-impl fmt::Display for Topic {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
-    }
-}
-
 /// There is no topic of this name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no topic {0:?}: use {known}", known = known())]
@@ -226,10 +221,7 @@ impl FromStr for Topic {
     type Err = UnknownTopic;
 
     fn from_str(name: &str) -> Result<Self, UnknownTopic> {
-        Self::ALL
-            .into_iter()
-            .find(|topic| topic.name() == name)
-            .ok_or_else(|| UnknownTopic(name.to_owned()))
+        Self::named(name).ok_or_else(|| UnknownTopic(name.to_owned()))
     }
 }
 

@@ -82,13 +82,33 @@ impl Recovery {
     }
 
     /// Whether the record was complete and undamaged.
-    pub const fn nothing_lost(&self) -> bool {
-        self.complete
-            && self.damaged_places == 0
-            && self.nameless == 0
-            && self.missing == 0
-            && self.has_metadata
-            && self.has_configuration
+    pub fn nothing_lost(&self) -> bool {
+        self.losses().is_empty()
+    }
+
+    /// What was lost, in words.
+    fn losses(&self) -> Vec<String> {
+        let no_settings = !(self.has_metadata && self.has_configuration);
+        let (places, cut) = (self.damaged_places, self.cut_bytes);
+        [
+            (places > 0).then(|| format!("{} bytes in {places} damaged places", self.damaged_bytes)),
+            (self.nameless > 0).then(|| format!("{} messages whose topic is unknown", self.nameless)),
+            no_settings.then(|| {
+                "the metadata or the configuration: other tools open the record, singletrack does not"
+                    .to_owned()
+            }),
+            (self.missing > 0)
+                .then(|| format!("{} messages between others, by their numbers", self.missing)),
+            (!self.complete).then(|| {
+                format!(
+                    "the end: {cut} bytes are not whole, and up to a second before the recorder \
+                     stopped may be missing"
+                )
+            }),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
     }
 }
 
@@ -102,43 +122,12 @@ impl fmt::Display for Recovery {
             self.messages,
             self.duration().as_secs_f64()
         )?;
-        if self.nothing_lost() {
-            return formatter.write_str("\nlost nothing");
+        match &*self.losses() {
+            [] => formatter.write_str("\nlost nothing"),
+            losses => losses
+                .iter()
+                .try_for_each(|loss| write!(formatter, "\nlost {loss}")),
         }
-        if self.damaged_places > 0 {
-            write!(
-                formatter,
-                "\nlost {} bytes in {} damaged places",
-                self.damaged_bytes, self.damaged_places
-            )?;
-        }
-        if self.nameless > 0 {
-            write!(
-                formatter,
-                "\nlost {} messages whose topic is unknown",
-                self.nameless
-            )?;
-        }
-        if !(self.has_metadata && self.has_configuration) {
-            formatter.write_str(
-                "\nlost the metadata or the configuration: other tools open the record, singletrack does not",
-            )?;
-        }
-        if self.missing > 0 {
-            write!(
-                formatter,
-                "\nlost {} messages between others, by their numbers",
-                self.missing
-            )?;
-        }
-        if !self.complete {
-            write!(
-                formatter,
-                "\nlost the end: {} bytes are not whole, and up to a second before the recorder stopped may be missing",
-                self.cut_bytes
-            )?;
-        }
-        Ok(())
     }
 }
 
