@@ -27,6 +27,7 @@ mod run {
     pub mod line;
     pub mod online_calibration;
     pub(crate) mod proof;
+    pub(crate) mod queue;
     pub mod reconfigure;
     pub(crate) mod report;
     pub(crate) mod requests;

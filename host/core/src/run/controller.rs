@@ -8,30 +8,20 @@ use singletrack_link::{DriveCommand, Event as LinkEvent, JogCommand, Session};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
     AttitudeSample, BoardRequest, Event, LineHealth, LinkState, Output, Pilot, PilotRequest,
-    PoseMissing, Tilt, Tuning, Underway,
+    PoseMissing, Tilt, Underway,
 };
 
+pub use crate::run::queue::{Events, MAX_EVENTS};
 use crate::{
     cameras::NewestSamples,
     line::Sent,
     run::proof::{Proof, Proofs},
-    run::report::pilot_event,
+    run::queue::{Queue, RESERVED},
     run::requests::{Reconfiguration, Refusal},
 };
 
-/// The largest number of events of a tick: a stall of 300 ms at 100 Hz of poses and
-/// telemetry.
-pub const MAX_EVENTS: usize = singletrack_record::MAX_EVENTS;
-
-/// Places for events that must not be lost, such as a stop: after a stall, samples fill the
-/// others.
-const RESERVED: usize = 19;
-
 /// The number of other bodies that the pilot is told of in a tick.
 const NEIGHBOURS: usize = 8;
-
-/// The events of one tick, in order.
-pub type Events = heapless::Vec<Event, MAX_EVENTS>;
 
 /// Link session and pilot, and the events for the next tick.
 ///
@@ -318,137 +308,6 @@ impl Controller {
     }
 }
 
-/// The events of the next tick, and the number of those that found no room.
-#[derive(Debug, Default)]
-struct Queue {
-    events: Events,
-    dropped: u32,
-}
-
-impl Queue {
-    fn push(&mut self, event: Event) {
-        let room = match event {
-            Event::Pose(_)
-            | Event::PoseMissing(_)
-            | Event::Neighbour(_)
-            | Event::Board(_)
-            | Event::TrajectoryPiece(_) => MAX_EVENTS - RESERVED,
-            // Only the latest value matters.
-            Event::Health(_)
-            | Event::Line(_)
-            | Event::Attitude(_)
-            | Event::RealTime(_)
-            | Event::Learned(_)
-            | Event::Setpoint(_)
-            | Event::Jog(_) => {
-                if self.take_place_of_last(event) {
-                    return;
-                }
-                MAX_EVENTS - RESERVED
-            }
-            // A held drive lives from the newest of these; a flood must not displace a stop.
-            Event::Request(PilotRequest::Hold) => {
-                if self.events.contains(&event) {
-                    return;
-                }
-                MAX_EVENTS - RESERVED
-            }
-            Event::Tuning(tuning) if self.joins_last(tuning) => return,
-            Event::Link(_)
-            | Event::Request(_)
-            | Event::Tuning(_)
-            | Event::ArmRefused
-            | Event::Begin(_)
-            | Event::Proved(_)
-            | Event::Reconfigured(_) => {
-                self.drop_repeated_link(event);
-                if self.events.is_full() {
-                    self.drop_oldest_sample();
-                }
-                MAX_EVENTS
-            }
-        };
-        if self.events.len() >= room || self.events.push(event).is_err() {
-            self.dropped = self.dropped.saturating_add(1);
-        }
-    }
-
-    /// Adds a tuning to the last one, unless the configuration has changed in between; false if
-    /// there is none.
-    fn joins_last(&mut self, tuning: Tuning) -> bool {
-        let last = self
-            .events
-            .iter_mut()
-            .rev()
-            .take_while(|other| !matches!(other, Event::Reconfigured(_)))
-            .find_map(|other| match other {
-                Event::Tuning(last) => Some(last),
-                _ => None,
-            });
-        let Some(last) = last else { return false };
-        *last = tuning.or(*last);
-        true
-    }
-
-    /// Removes an equal state of the link if it is the last one: the later event counts.
-    fn drop_repeated_link(&mut self, event: Event) {
-        let mut links = self.events.iter().enumerate().rev();
-        let last = links.find(|(_, other)| matches!(other, Event::Link(_)));
-        if let Some((index, last)) = last
-            && *last == event
-        {
-            self.events.remove(index);
-        }
-    }
-
-    fn drop_oldest_sample(&mut self) {
-        let oldest = self.events.iter().position(|event| {
-            matches!(
-                event,
-                Event::Pose(_) | Event::PoseMissing(_) | Event::Neighbour(_) | Event::Board(_)
-            )
-        });
-        if let Some(oldest) = oldest {
-            self.events.remove(oldest);
-            self.dropped = self.dropped.saturating_add(1);
-        }
-    }
-
-    /// Replaces the last event of the same kind; false if there is none. An event before a
-    /// change of link or configuration is not replaced: the change may have invalidated it.
-    fn take_place_of_last(&mut self, event: Event) -> bool {
-        let kind = core::mem::discriminant(&event);
-        let place = self
-            .events
-            .iter_mut()
-            .rev()
-            .take_while(|other| !matches!(other, Event::Link(_) | Event::Reconfigured(_)))
-            .find(|other| core::mem::discriminant(&**other) == kind);
-        match place {
-            Some(place) => {
-                *place = event;
-                true
-            }
-            None => false,
-        }
-    }
-
-    /// Translates an event of the link for the pilot.
-    fn link(&mut self, event: &LinkEvent) {
-        self.link_with(event, |speed| speed);
-    }
-
-    /// [`link`](Self::link) with a conversion of the motor's speed.
-    fn link_with(&mut self, event: &LinkEvent, motor_speed: impl Fn(f64) -> f64) {
-        if let Some(mut event) = pilot_event(event) {
-            if let Event::Board(sample) = &mut event {
-                sample.motor_speed = motor_speed(sample.motor_speed);
-            }
-            self.push(event);
-        }
-    }
-}
-
 /// Bound on how the square of a quaternion's length differs from 1: more than its rounding (0.0003),
 /// less than a wrong bit of the three highest makes (0.25).
 const UNIT: f64 = 0.04;
@@ -526,44 +385,6 @@ mod tests {
             5,
             proofs,
         )
-    }
-
-    #[test]
-    fn a_flood_of_samples_displaces_no_stop_and_a_stop_the_oldest_sample() {
-        let mut controller = controller(Proofs::default());
-        let missing = Event::PoseMissing(PoseMissing::Absent);
-        for _ in 0..MAX_EVENTS {
-            controller.push(missing);
-        }
-        assert_eq!(controller.queue.events.len(), MAX_EVENTS - RESERVED);
-        assert_eq!(controller.queue.dropped, RESERVED as u32);
-        let stop = Event::Request(PilotRequest::EmergencyStop);
-        for _ in 0..=RESERVED {
-            controller.push(stop);
-        }
-        // The last one took the place of a sample.
-        assert!(controller.queue.events.is_full());
-        assert_eq!(controller.queue.dropped, RESERVED as u32 + 1);
-        let stops = controller
-            .queue
-            .events
-            .iter()
-            .filter(|event| **event == stop);
-        assert_eq!(stops.count(), RESERVED + 1);
-    }
-
-    #[test]
-    fn of_equal_states_of_the_link_in_a_row_the_later_one_counts() {
-        let mut controller = controller(Proofs::default());
-        let (down, ready) = (Event::Link(LinkState::Down), Event::Link(LinkState::Ready));
-        let missing = Event::PoseMissing(PoseMissing::Absent);
-        for event in [down, missing, down, ready, down] {
-            controller.push(event);
-        }
-        assert_eq!(
-            controller.queue.events.as_slice(),
-            [missing, down, ready, down]
-        );
     }
 
     #[test]
@@ -699,27 +520,5 @@ mod tests {
         let told = ticks.iter().flat_map(|tick| &tick.events);
         let mut told = told.filter(|event| matches!(event, Event::Proved(_)));
         assert_eq!(told.next_back(), Some(&Event::Proved(false)));
-    }
-
-    #[test]
-    fn the_tunings_of_a_tick_are_one_event_with_the_newest_of_each_value() {
-        let mut controller = controller(Proofs::default());
-        let gain = |gain: f64| Some(singletrack_control::Velocity::new(gain, gain));
-        let tuning = |gain, point_distance| Tuning {
-            gain,
-            point_distance,
-        };
-        controller.push(Event::Tuning(tuning(gain(1.0), Some(0.3))));
-        controller.push(Event::Request(PilotRequest::Hold));
-        controller.push(Event::Tuning(tuning(gain(2.0), None)));
-        let events = [
-            Event::Tuning(tuning(gain(2.0), Some(0.3))),
-            Event::Request(PilotRequest::Hold),
-        ];
-        assert_eq!(controller.queue.events.as_slice(), events);
-        // It belongs to the configuration before or after.
-        controller.push(Event::Reconfigured(2));
-        controller.push(Event::Tuning(tuning(None, Some(0.4))));
-        assert_eq!(controller.queue.events.len(), 4);
     }
 }
