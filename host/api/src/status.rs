@@ -1,5 +1,7 @@
 //! The status of the daemon. Keys are in the order of the alphabet.
 
+use core::fmt;
+
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -106,16 +108,46 @@ pub struct Learned {
     pub steering_trim_rad: f64,
 }
 
-/// The cameras.
+/// What is wrong with the cameras, or that nothing is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Cameras {
     /// The cause as a word.
     pub diagnosis: Word,
-    /// Which other rigid body is near the car.
+    /// Which other rigid body is near the car: its markers may be taken for the car's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub neighbour: Option<String>,
-    /// The cause as a sentence, with what to do.
+    /// The cause as a sentence, with addresses, names and what to do.
     pub text: String,
+}
+
+impl Default for Cameras {
+    fn default() -> Self {
+        Self {
+            diagnosis: "starting".into(),
+            neighbour: None,
+            text: "waiting for the server".to_owned(),
+        }
+    }
+}
+
+impl Cameras {
+    /// Whether something is wrong.
+    pub fn is_trouble(&self) -> bool {
+        !matches!(&*self.diagnosis, "good" | "starting")
+    }
+}
+
+impl fmt::Display for Cameras {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            diagnosis, text, ..
+        } = self;
+        write!(formatter, "motion capture: {diagnosis}: {text}")?;
+        match &self.neighbour {
+            Some(neighbour) if self.is_trouble() => write!(formatter, "; {neighbour}"),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// The configuration in force.

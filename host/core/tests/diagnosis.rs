@@ -6,10 +6,9 @@ use std::{
 };
 
 use rtrb::{Consumer, RingBuffer};
-use singletrack_api::Status;
+use singletrack_api::{Cameras, Status};
 use singletrack_core::{
     cameras::{CameraReceiver, CameraReport, Channel, Sockets, StreamEvent},
-    diagnosis::Diagnosis,
     reasons::Why,
 };
 use singletrack_mocap::{
@@ -67,7 +66,7 @@ struct Scene {
     now_us: u64,
     waiting: Vec<(Ipv4Addr, Vec<u8>)>,
     /// With the time in ms.
-    found: Vec<(u64, Diagnosis)>,
+    found: Vec<(u64, Cameras)>,
     /// The other bodies near the car, in their order.
     near: Vec<Option<String>>,
 }
@@ -151,17 +150,20 @@ impl Scene {
 
     /// The words in order.
     fn words(&self) -> Vec<&str> {
-        self.found.iter().map(|(_, found)| found.word).collect()
+        self.found
+            .iter()
+            .map(|(_, found)| &*found.diagnosis)
+            .collect()
     }
 
-    fn last(&self) -> &Diagnosis {
+    fn last(&self) -> &Cameras {
         &self.found.last().unwrap().1
     }
 }
 
 #[track_caller]
-fn assert_text(diagnosis: &Diagnosis, word: &str, parts: &[&str]) {
-    assert_eq!(diagnosis.word, word, "{diagnosis}");
+fn assert_text(diagnosis: &Cameras, word: &str, parts: &[&str]) {
+    assert_eq!(diagnosis.diagnosis, word, "{diagnosis}");
     for part in parts {
         assert!(diagnosis.text.contains(part), "{part}: {diagnosis}");
     }
@@ -573,7 +575,7 @@ fn diagnosed(stamp_us: impl Fn(u64) -> u64) -> (String, String) {
         receiver.poll(&clock, &mut server, &mut |_| {});
         while let Ok(report) = reports.pop() {
             if let CameraReport::Diagnosis(diagnosis) = report {
-                found = (diagnosis.word.to_owned(), diagnosis.text);
+                found = (diagnosis.diagnosis.into_owned(), diagnosis.text);
             }
         }
     }

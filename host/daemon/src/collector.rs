@@ -12,9 +12,9 @@ use std::{
 };
 
 use rtrb::Consumer;
+use singletrack_api::Cameras;
 use singletrack_core::{
-    ControlRequest, Report, Requests, cameras::CameraReport, diagnosis::Diagnosis,
-    state_stream::States,
+    ControlRequest, Report, Requests, cameras::CameraReport, state_stream::States,
 };
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Event, Mode, Reason};
@@ -182,7 +182,7 @@ impl Collector {
     }
 
     /// Logs and publishes what is wrong with the cameras, or that nothing is any more.
-    fn diagnosed(&mut self, diagnosis: Diagnosis) {
+    fn diagnosed(&mut self, diagnosis: Cameras) {
         let level = if diagnosis.is_trouble() {
             Level::Warning
         } else {

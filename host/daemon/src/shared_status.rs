@@ -2,8 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use singletrack_api::{Calibration, State};
-use singletrack_core::diagnosis::Diagnosis;
+use singletrack_api::{Calibration, Cameras, State};
 use singletrack_pilot::Learned;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{ClockMapping, TickRecord, Topic};
@@ -44,7 +43,7 @@ pub struct Latest {
     /// What the pilot corrects in this drive, if it learns.
     pub learned: Option<Learned>,
     /// What is wrong with the cameras, or that nothing is.
-    pub cameras: Diagnosis,
+    pub cameras: Cameras,
     /// Why the serial port can't be opened; none if it is open.
     pub serial_error: Option<String>,
     /// Why the record ended before the daemon, such as a full disk.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
-use singletrack_api::{Board, Cameras, Configuration, Tunable, Tuning, TuningBounds};
+use singletrack_api::{Board, Configuration, Tunable, Tuning, TuningBounds};
 use singletrack_core::config::TuningRule;
 use singletrack_pilot::{Mode, Output, Reason, Tuned};
 
@@ -62,11 +62,7 @@ impl Snapshot {
                 stop_input_open: latest.board_status.map(|status| status.stop_input_open),
             }),
             calibration: calibration.map(|(_, calibration)| calibration),
-            cameras: Cameras {
-                diagnosis: latest.cameras.word.into(),
-                neighbour: latest.cameras.neighbour,
-                text: latest.cameras.text,
-            },
+            cameras: latest.cameras,
             commissioned: self.commissioned.clone(),
             config_path: self.config_path.as_deref().map(shown),
             configuration: self.configuration.clone(),
@@ -130,7 +126,8 @@ mod tests {
     use std::sync::Arc;
 
     use singletrack_api::{Calibration, Change, Correction};
-    use singletrack_core::{Config, diagnosis::Diagnosis, state_stream::States};
+    use singletrack_api::Cameras;
+    use singletrack_core::{Config, state_stream::States};
     use singletrack_pilot::{Filtering, Learned};
     use singletrack_protocol::{BoardMode, StopCause};
     use singletrack_record::{LinkPhase, TickRecord};
@@ -211,9 +208,9 @@ mod tests {
                 pivot_left: 0.0078125,
                 ..Learned::default()
             }),
-            cameras: Diagnosis {
+            cameras: Cameras {
                 neighbour: Some("\"wand\" is near".to_owned()),
-                ..Diagnosis::default()
+                ..Cameras::default()
             },
             record_error: Some("disk full".to_owned()),
             ..Latest::default()

@@ -7,7 +7,6 @@ use serde_json::Value;
 use singletrack_core::{
     cameras::{CameraReceiver, CameraReport},
     config::{MotionCaptureSection, ServerKind, UpAxis},
-    diagnosis::Diagnosis,
 };
 use singletrack_mocap::planar::PlanarSession;
 use singletrack_sim::{RealTimeConfig, RealTimeSimulator, UdpConfig};
@@ -35,7 +34,7 @@ fn section(kind: ServerKind, simulator: &RealTimeSimulator) -> MotionCaptureSect
 }
 
 /// What the receiver says of the cameras within a time.
-fn diagnoses(section: &MotionCaptureSection, within: Duration) -> Vec<Diagnosis> {
+fn diagnoses(section: &MotionCaptureSection, within: Duration) -> Vec<singletrack_api::Cameras> {
     let (observations, _observed) = RingBuffer::new(4_096);
     let (reports_in, mut reports) = RingBuffer::new(4_096);
     let session = PlanarSession::new(section.session().unwrap()).unwrap();
@@ -121,7 +120,7 @@ fn a_wrong_name_names_the_bodies_of_every_kind_of_server() {
         };
         let found = diagnoses(&section, Duration::from_millis(2_500));
         let last = found.last().unwrap();
-        assert_eq!(last.word, "no-such-body", "{kind:?}: {last}");
+        assert_eq!(last.diagnosis, "no-such-body", "{kind:?}: {last}");
         for name in ["\"kart\"", "\"wand\", \"carrier\", \"car\""] {
             assert!(last.text.contains(name), "{kind:?}: {last}");
         }
@@ -134,7 +133,7 @@ fn the_wrong_kind_and_the_wrong_port_are_told_apart() {
     let as_qualisys = section(ServerKind::Qualisys, &vrpn);
     let found = diagnoses(&as_qualisys, Duration::from_millis(4_500));
     let last = found.last().unwrap();
-    assert_eq!(last.word, "unsupported-version", "{last}");
+    assert_eq!(last.diagnosis, "unsupported-version", "{last}");
     assert!(last.text.contains("motion_capture.kind"), "{last}");
     let port = vrpn.command_address.port();
     let (is_good, text) = cameras(ServerKind::Qualisys, port, "3s", &[]);
@@ -148,6 +147,6 @@ fn the_wrong_kind_and_the_wrong_port_are_told_apart() {
     };
     let found = diagnoses(&nobody, Duration::from_millis(3_500));
     let last = found.last().unwrap();
-    assert_eq!(last.word, "no-server", "{last}");
+    assert_eq!(last.diagnosis, "no-server", "{last}");
     assert!(last.text.contains("TCP port"), "{last}");
 }

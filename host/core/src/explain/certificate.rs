@@ -9,7 +9,7 @@ use serde_json::Value;
 use singletrack_control::{ROOM_DIRECTIONS, SafetyConfig, SafetyFilter, StopBox};
 
 use crate::{
-    config::{Config, ConfigError, refuse_if},
+    config::{Config, ConfigError, refuse_if, value_at},
     run::proof::Fnv,
 };
 
@@ -161,7 +161,7 @@ fn proved(config: &Config) -> Result<Value, ConfigError> {
                safety_filter.certificate out";
     refuse_if(reverse > 0.0, key, reverse, fix)?;
     let filter = config.safety_filter.config(config)?;
-    let settings = settings(config);
+    let settings = settings(config)?;
     let own = config.residuals();
     let residuals = Residuals {
         curvature_u_per_m: figure(own.curvature),
@@ -261,48 +261,45 @@ fn room(
     }))
 }
 
+/// The keys that the certificate rests on, but for `safety_filter.reaction_ms`, which may be left out.
+const SETTINGS: [&str; 18] = [
+    "actuators.speed_dead_time_ms",
+    "actuators.steering_dead_time_ms",
+    "actuators.steering_lag_ms",
+    "control.period_ms",
+    "fence.braking_m_s2",
+    "law.front_axle_distance_m",
+    "limits.max_speed_m_s",
+    "limits.max_steering_rad",
+    "safety_filter.course_error_rad",
+    "safety_filter.curvature_error_per_m",
+    "safety_filter.curvature_error_per_m_per_m_s2",
+    "safety_filter.position_error_m",
+    "safety_filter.speed_error_m_s",
+    "supervisor.hold_distance_m",
+    "supervisor.hold_ms",
+    "vehicle.friction",
+    "vehicle.front_axle_distance_m",
+    "vehicle.rear_axle_distance_m",
+];
+
 /// What the certificate rests on, as decimals.
-fn settings(config: &Config) -> BTreeMap<&'static str, String> {
-    let (actuators, filter) = (&config.actuators, &config.safety_filter);
-    let (supervisor, vehicle) = (&config.supervisor, &config.vehicle);
-    [
-        ("actuators.speed_dead_time_ms", actuators.speed_dead_time_ms),
-        (
-            "actuators.steering_dead_time_ms",
-            actuators.steering_dead_time_ms,
-        ),
-        ("actuators.steering_lag_ms", actuators.steering_lag_ms),
-        ("control.period_ms", f64::from(config.control.period_ms)),
-        ("fence.braking_m_s2", config.fence.braking_m_s2),
-        (
-            "law.front_axle_distance_m",
-            config.law.front_axle_distance_m,
-        ),
-        ("limits.max_speed_m_s", config.limits.max_speed_m_s),
-        ("limits.max_steering_rad", config.limits.max_steering_rad),
-        ("safety_filter.course_error_rad", filter.course_error_rad),
-        (
-            "safety_filter.curvature_error_per_m",
-            filter.curvature_error_per_m,
-        ),
-        (
-            "safety_filter.curvature_error_per_m_per_m_s2",
-            filter.curvature_error_per_m_per_m_s2,
-        ),
-        ("safety_filter.position_error_m", filter.position_error_m),
-        ("safety_filter.reaction_ms", filter.reaction_ms(config)),
-        ("safety_filter.speed_error_m_s", filter.speed_error_m_s),
-        ("supervisor.hold_distance_m", supervisor.hold_distance_m),
-        ("supervisor.hold_ms", f64::from(supervisor.hold_ms)),
-        ("vehicle.friction", vehicle.friction),
-        (
-            "vehicle.front_axle_distance_m",
-            vehicle.front_axle_distance_m,
-        ),
-        ("vehicle.rear_axle_distance_m", vehicle.rear_axle_distance_m),
-    ]
-    .map(|(key, value)| (key, value.to_string()))
-    .into()
+fn settings(config: &Config) -> Result<BTreeMap<&'static str, String>, ConfigError> {
+    let written = toml::Value::try_from(config)
+        .map_err(|error| ConfigError::value("safety_filter", "no TOML", error.to_string()))?;
+    let decimal = |key| {
+        let value = value_at(&written, key)?;
+        let whole = value.as_integer().map(|number| number.to_string());
+        whole.or_else(|| Some(value.as_float()?.to_string()))
+    };
+    let reaction_ms = config.safety_filter.reaction_ms(config).to_string();
+    let settings = SETTINGS.into_iter().map(|key| match decimal(key) {
+        Some(value) => Ok((key, value)),
+        None => Err(ConfigError::value(key, "no number", "it must be one")),
+    });
+    settings
+        .chain([Ok(("safety_filter.reaction_ms", reaction_ms))])
+        .collect()
 }
 
 /// The hash of the settings as lines `key=value`.

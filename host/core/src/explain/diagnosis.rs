@@ -1,56 +1,16 @@
 //! Why the cameras give no pose: the cause, and what to do about it.
 //!
-//! Counters show what arrives. A [`Diagnosis`] names the likely cause in one word, which is the
+//! Counters show what arrives. [`Cameras`] names the likely cause in one word, which is the
 //! same in status, log and documentation, and in a sentence with addresses and names.
 
-use core::{fmt, net::IpAddr};
+use core::net::IpAddr;
 
-use serde::Serialize;
+use singletrack_api::Cameras;
 use singletrack_mocap::{
     Binding, Phase, Protocol, RejectReason, SessionEvent, Transport, UpAxis,
     codec::DecodeError,
     planar::{NEAR_M, PlanarConfig, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
 };
-
-/// What is wrong with the cameras, or that nothing is.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Diagnosis {
-    /// The cause.
-    #[serde(rename = "diagnosis")]
-    pub word: &'static str,
-    /// The diagnosis as a sentence, with addresses, names and what to do.
-    pub text: String,
-    /// Which other rigid body is near the car: its markers may be taken for the car's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub neighbour: Option<String>,
-}
-
-impl Default for Diagnosis {
-    fn default() -> Self {
-        Self {
-            word: Cause::Starting.word(),
-            text: "waiting for the server".to_owned(),
-            neighbour: None,
-        }
-    }
-}
-
-impl Diagnosis {
-    /// Whether something is wrong.
-    pub fn is_trouble(&self) -> bool {
-        !matches!(self.word, "good" | "starting")
-    }
-}
-
-impl fmt::Display for Diagnosis {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "motion capture: {}: {}", self.word, self.text)?;
-        match &self.neighbour {
-            Some(neighbour) if self.is_trouble() => write!(formatter, "; {neighbour}"),
-            _ => Ok(()),
-        }
-    }
-}
 
 /// The cause by itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -189,7 +149,7 @@ impl CameraWatch {
     }
 
     /// Looks at the session, about five times a second. Returns a diagnosis when it changes.
-    pub(crate) fn look(&mut self, now_ns: u64, session: &PlanarSession) -> Option<Diagnosis> {
+    pub(crate) fn look(&mut self, now_ns: u64, session: &PlanarSession) -> Option<Cameras> {
         let counters = session.counters();
         let before = self.past.front().copied().unwrap_or_default();
         if self.past.is_full() {
@@ -244,8 +204,8 @@ impl CameraWatch {
             return None;
         }
         self.reported = Some((cause, now_ns));
-        Some(Diagnosis {
-            word: cause.word(),
+        Some(Cameras {
+            diagnosis: cause.word().into(),
             text: describe(cause, session, &self.measured),
             neighbour: neighbour(session),
         })

@@ -143,7 +143,7 @@ impl Why {
         if matches!(word, "no-pose" | "pose-too-old" | "pose-implausible") {
             let cameras = &status.cameras;
             // The daemon knows better what is wrong with its cameras than the table does.
-            if !matches!(&*cameras.diagnosis, "good" | "starting") {
+            if cameras.is_trouble() {
                 advice = Some(sentence(&cameras.text));
             }
             if let Some(neighbour) = &cameras.neighbour {

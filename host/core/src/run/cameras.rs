@@ -18,7 +18,7 @@ use singletrack_mocap::{
 
 use crate::{
     config::NeighboursSection,
-    diagnosis::{CameraWatch, Diagnosis, neighbour},
+    diagnosis::{CameraWatch, neighbour},
 };
 
 /// The longest datagram of UDP.
@@ -85,8 +85,8 @@ pub enum CameraReport {
     /// The counters so far.
     Counters(PlanarCounters),
     /// What is wrong with the cameras, or that nothing is any more.
-    Diagnosis(Diagnosis),
-    /// Which other rigid body is near the car now: see [`Diagnosis::neighbour`].
+    Diagnosis(singletrack_api::Cameras),
+    /// Which other rigid body is near the car now: see [`singletrack_api::Cameras::neighbour`].
     Neighbour(Option<String>),
 }
 

@@ -167,12 +167,17 @@ pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Co
             .find(|estimate| estimate.parameter == parameter && estimate.is_off())
             .map(|estimate| estimate.value)
     };
+    // No path of a configuration that was read is not UTF-8.
+    let Ok(written) = serde_json::to_value(config) else {
+        return Vec::new();
+    };
     let mut corrections = Vec::new();
-    let mut correct = |key: &str, configured: Json, value: Json| {
+    let mut correct = |key: &str, value: Json| {
+        let configured = key.split('.').fold(&written, |at, name| &at[name]);
         // What is rounded to what it was is no correction.
-        if configured != value {
+        if *configured != value {
             corrections.push(Correction {
-                configured,
+                configured: configured.clone(),
                 key: key.to_owned(),
                 value,
             });
@@ -185,46 +190,41 @@ pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Co
         let gain_us_per_rad = f64::from(servo.gain_us_per_rad) / (1.0 + gain.unwrap_or(0.0));
         let centre_us = f64::from(servo.centre_us) - trim.unwrap_or(0.0) * gain_us_per_rad;
         let [gain_us_per_rad, centre_us] = [gain_us_per_rad, centre_us].map(f64::round);
-        let (configured, value) = (servo.gain_us_per_rad.into(), gain_us_per_rad as i64);
-        correct("board.servo.gain_us_per_rad", configured, value.into());
-        let (configured, value) = (servo.centre_us.into(), centre_us as i64);
-        correct("board.servo.centre_us", configured, value.into());
+        correct(
+            "board.servo.gain_us_per_rad",
+            (gain_us_per_rad as i64).into(),
+        );
+        correct("board.servo.centre_us", (centre_us as i64).into());
         let [most, least] = [servo.max_us, servo.min_us].map(f64::from);
         let reach = (most - centre_us).min(centre_us - least) / gain_us_per_rad.abs();
-        let most = config.limits.max_steering_rad;
-        if most > reach {
-            let value = (1e3 * reach).floor() / 1e3;
-            correct("limits.max_steering_rad", most.into(), value.into());
+        if config.limits.max_steering_rad > reach {
+            correct(
+                "limits.max_steering_rad",
+                ((1e3 * reach).floor() / 1e3).into(),
+            );
         }
     }
     let cameras = &config.motion_capture;
     if let Some(late) = off(CalibrationParameter::StampOffset) {
-        let configured = cameras.timing.stamp_offset_ms;
-        let value = rounded(configured + 1e3 * late, 1e2);
-        let key = "motion_capture.timing.stamp_offset_ms";
-        correct(key, configured.into(), value.into());
+        let value = rounded(cameras.timing.stamp_offset_ms + 1e3 * late, 1e2);
+        correct("motion_capture.timing.stamp_offset_ms", value.into());
     }
     if let Some(yaw) = off(CalibrationParameter::BodyYaw) {
-        let configured = cameras.marker_yaw_rad;
-        let value = rounded(configured + yaw, 1e5).into();
-        correct("motion_capture.marker_yaw_rad", configured.into(), value);
+        let value = rounded(cameras.marker_yaw_rad + yaw, 1e5);
+        correct("motion_capture.marker_yaw_rad", value.into());
     }
-    let pivot = [
-        CalibrationParameter::PivotForward,
-        CalibrationParameter::PivotLeft,
-    ]
-    .map(off);
-    if pivot.iter().any(Option::is_some) {
-        let configured = cameras.marker_offset_m;
-        let value = [0, 1].map(|axis| rounded(configured[axis] + pivot[axis].unwrap_or(0.0), 1e4));
-        let [configured, value] = [configured, value].map(|pair| pair.to_vec().into());
-        correct("motion_capture.marker_offset_m", configured, value);
+    let forward = off(CalibrationParameter::PivotForward);
+    let left = off(CalibrationParameter::PivotLeft);
+    if forward.is_some() || left.is_some() {
+        let [x, y] = cameras.marker_offset_m;
+        let moved = |configured, by: Option<f64>| rounded(configured + by.unwrap_or(0.0), 1e4);
+        let value = vec![moved(x, forward), moved(y, left)];
+        correct("motion_capture.marker_offset_m", value.into());
     }
     if let Some(more) = off(CalibrationParameter::PulseDistance) {
-        let configured = config.board.speed.pulse_distance_um;
-        let value = (f64::from(configured) * (1.0 + more)).round() as i64;
-        let key = "board.speed.pulse_distance_um";
-        correct(key, configured.into(), value.into());
+        let configured = f64::from(config.board.speed.pulse_distance_um);
+        let value = (configured * (1.0 + more)).round() as i64;
+        correct("board.speed.pulse_distance_um", value.into());
     }
     corrections
 }
