@@ -1,4 +1,4 @@
-//! Lines to the daemon, and its answers.
+//! Lines to the daemon, and its answers; the offset of its clock, and drives that a connection holds.
 
 use std::{
     io::{self, Read as _, Write as _},
@@ -8,13 +8,13 @@ use std::{
         unix::net::UnixStream,
     },
     path::Path,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use serde::de::DeserializeOwned;
 use socket2::{Domain, SockAddr, Socket, Type};
 
-use crate::{Answer, ClientError, Request};
+use crate::{Answer, Arm, Attendance, ClientError, Reply, Request};
 
 /// The longest wait for a daemon that accepts no connection.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -191,6 +191,17 @@ impl Connection {
         self.read_line()
     }
 
+    /// Sends a request, and waits for its answer.
+    pub(crate) fn exchange(
+        &mut self,
+        request: &Request,
+        patience: Duration,
+    ) -> Result<Answer, ClientError> {
+        self.send(request)?;
+        let reply = self.receive_within::<Reply>(patience)?;
+        reply.ok_or(ClientError::Ended)?.agreed()
+    }
+
     fn read_line<T: DeserializeOwned>(&mut self) -> Result<Option<T>, ClientError> {
         loop {
             if let Some(end) = self.received.iter().position(|&byte| byte == b'\n') {
@@ -214,6 +225,143 @@ impl Connection {
 impl AsFd for Connection {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.stream.as_fd()
+    }
+}
+
+/// The number of exchanges, of which the fastest counts.
+const EXCHANGES: usize = 8;
+
+/// How far a daemon's `CLOCK_MONOTONIC` is ahead of a client's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClockOffset {
+    /// The daemon's time less the client's, in ns.
+    pub offset_ns: i64,
+    /// The largest error of the offset: half the round trip, in ns.
+    pub bound_ns: u64,
+}
+
+impl ClockOffset {
+    /// The daemon's time at `client_ns` of the client's.
+    pub const fn daemon_ns(&self, client_ns: u64) -> u64 {
+        client_ns.saturating_add_signed(self.offset_ns)
+    }
+
+    /// Offset by one exchange: asked at `sent_ns` and answered at `received_ns` of the client's clock,
+    /// with `daemon_ns` between.
+    const fn of(sent_ns: u64, daemon_ns: u64, received_ns: u64) -> Self {
+        let bound_ns = received_ns.saturating_sub(sent_ns).div_ceil(2);
+        Self {
+            // Two clocks that count from the start of a computer differ by less than 292 years.
+            offset_ns: daemon_ns
+                .wrapping_sub(sent_ns.saturating_add(bound_ns))
+                .cast_signed(),
+            bound_ns,
+        }
+    }
+}
+
+impl Connection {
+    /// Measures how far the daemon's clock is ahead of `clock`. Each exchange waits for `patience`
+    /// at most.
+    ///
+    /// # Errors
+    ///
+    /// The connection is lost, or the daemon does not answer with its clock.
+    pub fn clock_offset(
+        &mut self,
+        clock: impl Fn() -> u64,
+        patience: Duration,
+    ) -> Result<ClockOffset, ClientError> {
+        let mut exchange = || -> Result<ClockOffset, ClientError> {
+            let sent_ns = clock();
+            let answer = self.exchange(&Request::Clock {}, patience)?;
+            let received_ns = clock();
+            let clocks = answer.clocks.ok_or(ClientError::Ended)?;
+            Ok(ClockOffset::of(sent_ns, clocks.monotonic_ns, received_ns))
+        };
+        let mut best = exchange()?;
+        for _ in 1..EXCHANGES {
+            let next = exchange()?;
+            if next.bound_ns < best.bound_ns {
+                best = next;
+            }
+        }
+        Ok(best)
+    }
+}
+
+/// Interval of the renewals. The daemon stops the car 0.5 s after the last one.
+pub const RENEWAL: Duration = Duration::from_millis(100);
+
+/// A connection that holds a drive, for as long as its owner calls it. Dropped, it ends the drive.
+#[derive(Debug)]
+pub struct HeldDrive {
+    /// Its connection, for other requests and what the daemon says of the drive.
+    pub connection: Connection,
+    interval: Duration,
+    renewed: Instant,
+}
+
+impl HeldDrive {
+    /// Holds what `connection` arms, or has armed, with a renewal every `interval`.
+    pub fn new(connection: Connection, interval: Duration) -> Self {
+        Self {
+            connection,
+            interval,
+            renewed: Instant::now(),
+        }
+    }
+
+    /// Arms, and returns once the car drives. `patience` is the longest wait for a daemon that does
+    /// not read.
+    ///
+    /// # Errors
+    ///
+    /// The daemon refuses, or the connection is lost.
+    pub fn arm(socket: &Path, patience: Duration, wait: Duration) -> Result<Self, ClientError> {
+        let mut drive = Self::new(Connection::open(socket, patience)?, RENEWAL);
+        drive.connection.send(&Request::Arm(Arm {
+            attendance: Some(Attendance::Hold),
+            ..Arm::default()
+        }))?;
+        loop {
+            if let Some(reply) = drive.next(wait)? {
+                reply.agreed()?;
+                return Ok(drive);
+            }
+        }
+    }
+
+    /// Whether a renewal is due; then the next one is due an interval later.
+    pub fn is_due(&mut self) -> bool {
+        let is_due = self.renewed.elapsed() >= self.interval;
+        if is_due {
+            self.renewed = Instant::now();
+        }
+        is_due
+    }
+
+    /// Renews the drive if that is due.
+    ///
+    /// # Errors
+    ///
+    /// The connection is lost.
+    pub fn renew(&mut self) -> Result<(), ClientError> {
+        match self.is_due() {
+            true => self.connection.send(&Request::Hold {}),
+            false => Ok(()),
+        }
+    }
+
+    /// Renews the drive if that is due, and waits for the daemon's next line; `None` if none comes
+    /// within `wait`, which must be shorter than the interval.
+    ///
+    /// # Errors
+    ///
+    /// The connection is lost.
+    pub fn next(&mut self, wait: Duration) -> Result<Option<Reply>, ClientError> {
+        self.renew()?;
+        self.connection.receive_within(wait)
     }
 }
 
@@ -281,5 +429,19 @@ mod tests {
     fn a_socket_without_a_daemon_is_named() {
         let error = connect(Path::new("/nonexistent/socket")).unwrap_err();
         assert!(error.to_string().contains("/nonexistent/socket"));
+    }
+
+    #[test]
+    fn the_offset_is_within_its_bound_wherever_the_daemon_read_its_clock() {
+        for ahead in [0, 3_000_000_000, -5_000] {
+            for read_ns in [10_000, 12_345, 20_001] {
+                let daemon_ns = u64::saturating_add_signed(read_ns, ahead);
+                let ClockOffset {
+                    offset_ns,
+                    bound_ns,
+                } = ClockOffset::of(10_000, daemon_ns, 20_001);
+                assert!(offset_ns.abs_diff(ahead) <= bound_ns, "{ahead} {read_ns}");
+            }
+        }
     }
 }

@@ -7,46 +7,38 @@
 #[cfg(feature = "server")]
 pub mod access;
 #[cfg(unix)]
-mod clock;
-#[cfg(unix)]
 mod connection;
 mod error;
 mod explain;
 #[cfg(unix)]
 mod fleet;
-#[cfg(unix)]
-mod held;
 #[cfg(feature = "log")]
 pub mod log;
 #[cfg(unix)]
 mod messages;
 mod reply;
 mod request;
-mod state;
 mod status;
 #[path = "../../control/src/words.rs"]
 mod words;
 
 #[cfg(unix)]
-pub use clock::ClockOffset;
-#[cfg(unix)]
-pub use connection::{Connection, ask, ask_as, ask_within, connect};
+pub use connection::{
+    ClockOffset, Connection, HeldDrive, RENEWAL, ask, ask_as, ask_within, connect,
+};
 pub use error::ClientError;
 pub use explain::{explain, is_too_large};
 #[cfg(unix)]
 pub use fleet::{Fleet, FleetArm, FleetCar, FleetDrive, FleetEnd, FleetFileError, NotObeyed};
-#[cfg(unix)]
-pub use held::{HeldDrive, RENEWAL};
 #[cfg(unix)]
 pub use messages::{Message, MessageStream, Received};
 pub use reply::{Answer, Clocks, Code, Drive, Ended, Refused, Reply, Tuning, TuningBounds, Word};
 pub use request::{
     Arm, Attendance, EXAMPLES, Gain, Request, RequestError, Setpoint, TrajectoryPoint, Tune,
 };
-pub use state::{SetpointInForce, State};
 pub use status::{
-    Board, Calibration, Cameras, Change, Configuration, Correction, Learned, Status, Tunable,
-    record_trouble,
+    Board, Calibration, Cameras, Change, Configuration, Correction, Learned, SetpointInForce,
+    State, Status, Tunable, record_trouble,
 };
 
 /// The version of the protocol. Client and daemon must have the same one.
