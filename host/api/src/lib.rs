@@ -35,6 +35,7 @@ pub use messages::{Message, MessageStream, Received};
 pub use reply::{Answer, Clocks, Code, Drive, Ended, Refused, Reply, Tuning, TuningBounds, Word};
 pub use request::{
     Arm, Attendance, EXAMPLES, Gain, Request, RequestError, Setpoint, TrajectoryPoint, Tune,
+    has_null,
 };
 pub use status::{
     Board, Calibration, Cameras, Change, Configuration, Correction, Learned, SetpointInForce,

@@ -299,7 +299,8 @@ impl Request {
     }
 }
 
-fn has_null(value: &Value) -> bool {
+/// Whether there is a null in it.
+pub fn has_null(value: &Value) -> bool {
     match value {
         Value::Null => true,
         Value::Array(values) => values.iter().any(has_null),

@@ -277,42 +277,37 @@ fn describe_braking(measured: f64, configured: f64) -> (Level, String) {
 
 /// The level and the text of a link event for the log.
 fn describe(event: &LinkEvent) -> (Level, String) {
-    let level = match event {
-        LinkEvent::VersionMismatch(_) | LinkEvent::ConfigurationRefused { .. } => Level::Error,
-        LinkEvent::BoardRestarted { .. }
-        | LinkEvent::Refused { .. }
-        | LinkEvent::Unanswered { .. }
-        | LinkEvent::Lost { .. } => Level::Warning,
-        LinkEvent::Telemetry(_) | LinkEvent::Status(_) => Level::Debug,
-        _ => Level::Info,
-    };
-    let text = match event {
+    use Level::{Debug, Error, Info, Warning};
+    match event {
         LinkEvent::Connected {
             board_software_version: [major, minor, patch],
-        } => format!("board connected, software {major}.{minor}.{patch}"),
-        LinkEvent::Identified { car_id } => format!("board of car {car_id}"),
-        LinkEvent::VersionMismatch(mismatch) => mismatch.to_string(),
-        LinkEvent::ConfigurationAccepted { hash } => {
-            format!("board accepted its configuration, hash {hash:08x}")
+        } => {
+            let text = format!("board connected, software {major}.{minor}.{patch}");
+            (Info, text)
         }
+        LinkEvent::Identified { car_id } => (Info, format!("board of car {car_id}")),
+        LinkEvent::VersionMismatch(mismatch) => (Error, mismatch.to_string()),
+        LinkEvent::ConfigurationAccepted { hash } => (
+            Info,
+            format!("board accepted its configuration, hash {hash:08x}"),
+        ),
         LinkEvent::ConfigurationRefused { reason } => {
-            format!("board refused its configuration: {}", reason.name())
+            (Error, format!("board refused its configuration: {reason}"))
         }
-        LinkEvent::BoardRestarted { evidence } => format!("board restarted: {}", evidence.name()),
-        LinkEvent::Acknowledged { request, .. } => {
-            format!("board acknowledged: {}", request.name())
-        }
+        LinkEvent::BoardRestarted { evidence } => (Warning, format!("board restarted: {evidence}")),
+        LinkEvent::Acknowledged { request, .. } => (Info, format!("board acknowledged: {request}")),
         LinkEvent::Refused {
             request, reason, ..
-        } => format!("board refused: {}: {}", request.name(), reason.name()),
+        } => (Warning, format!("board refused: {request}: {reason}")),
         LinkEvent::Unanswered { request, .. } => {
-            format!("board did not answer: {}", request.name())
+            (Warning, format!("board did not answer: {request}"))
         }
-        LinkEvent::StopConfirmed { request } => format!("board confirmed: {}", request.name()),
-        LinkEvent::Lost { cause } => format!("board lost: {}", cause.name()),
-        LinkEvent::Telemetry(_) | LinkEvent::Status(_) => "message from the board".to_owned(),
-    };
-    (level, text)
+        LinkEvent::StopConfirmed { request } => (Info, format!("board confirmed: {request}")),
+        LinkEvent::Lost { cause } => (Warning, format!("board lost: {cause}")),
+        LinkEvent::Telemetry(_) | LinkEvent::Status(_) => {
+            (Debug, "message from the board".to_owned())
+        }
+    }
 }
 
 #[cfg(test)]

@@ -31,7 +31,7 @@ use crate::{
     drive_noise::DriveNoise,
     files::Files,
     files::FreeSpace,
-    handle::DaemonHandle,
+    handle::{DaemonHandle, Snapshot},
     mocap_receiver,
     mocap_socket::MocapSockets,
     realtime::{self, RealTimeStatus},
@@ -39,8 +39,7 @@ use crate::{
     recording::{self, RunningRecord},
     serial_reader,
     shared_status::SharedStatus,
-    snapshot::Snapshot,
-    socket::{BoundSocket, Drives, SetpointSource, SocketThread},
+    socket::{BoundSocket, Drives, SocketThread},
     state_file::StateFile,
     summary::Summary,
     threads::NamedThread,
@@ -122,10 +121,7 @@ impl Daemon {
             proofs: state.proofs(),
             ..HostOptions::default()
         };
-        let host = match Host::new(config, options_of_host) {
-            Ok(host) => host,
-            Err(error) => return Err(error.to_string()),
-        };
+        let host = Host::new(config, options_of_host).map_err(|error| error.to_string())?;
         let config = host.configurations.in_force.clone();
         let mut refusals = Vec::new();
         let memory_locked = options.lock_memory
@@ -137,20 +133,16 @@ impl Daemon {
             .then(|| realtime::bound_idle().map_err(|refusal| refusals.push(refusal)))
             .and_then(Result::ok);
         let sockets = MocapSockets::open(&config.motion_capture)?;
-        let socket = match config.socket.enabled {
-            true => Some(BoundSocket::open(&config.socket)?),
-            false => None,
-        };
+        let listens = config.socket.enabled;
+        let socket = listens.then(|| BoundSocket::open(&config.socket));
+        let socket = socket.transpose()?;
         let stop = StopFlag::new().map_err(|error| format!("can't make an eventfd: {error}"))?;
         let begin = ClockMapping {
             monotonic_ns: monotonic_ns(),
             wall_ns: wall_ns(),
         };
         let started = recording::start(&config, options.record, options.seed, begin)?;
-        let (running_record, record) = match started {
-            Some((record, input)) => (Some(record), Some(input)),
-            None => (None, None),
-        };
+        let (running_record, record) = started.unzip();
 
         let status = Arc::new(SharedStatus::new(begin));
         let (entries_in, entries) = mpsc::channel();
@@ -175,7 +167,7 @@ impl Daemon {
                 ),
                 requests: host.requests,
                 setpoints: host.setpoints,
-                source: SetpointSource::default(),
+                newest_setpoint: Arc::default(),
                 jogs: host.jogs,
                 tunings: host.tunings,
                 config_path: options

@@ -66,7 +66,7 @@ pub(crate) fn start(
     let refused = |error: RecordError| format!("{error}; {FIX}");
     let recorder = Recorder::create(&path, &meta).map_err(refused)?;
     let (input, output) = feed(CAPACITY);
-    let thread = RecorderThread::start(recorder, vec![output], |_| {}).map_err(refused)?;
+    let thread = RecorderThread::start(recorder, output, |_| {}).map_err(refused)?;
     Ok(Some((RunningRecord { thread, path }, input)))
 }
 

@@ -115,19 +115,14 @@ impl Service {
             (mode, Some(reason)) => format!("mode {mode}: {reason}"),
             (mode, None) => format!("mode {mode}"),
         };
-        let singletrack_api::Configuration {
-            number,
-            last_change,
-        } = self.daemon.configuration();
-        if number > 1 {
-            status += &format!("; configuration {number}");
+        let configuration = self.daemon.configuration();
+        if configuration.number > 1 {
+            status += &format!("; configuration {}", configuration.number);
         }
-        if let Some(singletrack_api::Change {
-            by,
-            error: Some(error),
-        }) = last_change
+        if let Some(change) = configuration.last_change
+            && let Some(error) = change.error
         {
-            status += &format!("; {by} refused: {error}");
+            status += &format!("; {} refused: {error}", change.by);
         }
         if let Some(trouble) = self.daemon.handle.record_trouble() {
             status += &format!("; {trouble}");

@@ -57,7 +57,7 @@ fn main() {
 fn record(path: &Path) -> ! {
     let (mut input, output) = feed(1_024);
     let recorder = Recorder::create(path, &drive::meta()).unwrap();
-    let _thread = RecorderThread::start(recorder, vec![output], |_| {}).unwrap();
+    let _thread = RecorderThread::start(recorder, output, |_| {}).unwrap();
     let start = Instant::now();
     let mut output = io::stdout().lock();
     for index in 0.. {

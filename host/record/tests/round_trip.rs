@@ -202,7 +202,7 @@ fn the_recorder_thread_writes_pushed_entries_and_counts_lost_ones() {
     assert_eq!(pushed, 4);
     let recorder = Recorder::create(&path, &common::meta()).unwrap();
     let (sender, observed) = std::sync::mpsc::channel();
-    let thread = RecorderThread::start(recorder, vec![output], move |entry| {
+    let thread = RecorderThread::start(recorder, output, move |entry| {
         sender.send(entry.clone()).unwrap();
     })
     .unwrap();

@@ -142,10 +142,7 @@ impl Report {
         match self {
             Self::Telemetry(record) => Some(Entry::Telemetry(record)),
             Self::Status(record) => Some(Entry::Status(record)),
-            Self::Link { .. }
-            | Self::Counters(_)
-            | Self::Proved { .. }
-            | Self::Disproved { .. } => None,
+            _ => None,
         }
     }
 

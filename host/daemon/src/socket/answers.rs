@@ -17,15 +17,14 @@ use super::{arm::warnings, command::ParseError, progress::next_tick, setpoint::r
 use crate::{
     clock::{monotonic_ns, wall_ns},
     commissioned_file::subject,
-    handle::DaemonHandle,
-    snapshot::{Snapshot, tuning_of},
+    handle::{DaemonHandle, Snapshot, tuning_of},
 };
 
 /// The answer to a line that is no command. A rejected set-point is counted.
 pub(super) fn no_command(daemon: &DaemonHandle, error: &ParseError) -> Answer {
-    match &error.rejected {
-        Some(rejected) => reject(daemon, rejected),
-        None => Answer::failure(Code::Invalid, error),
+    match error {
+        ParseError::Rejected(rejected) => reject(daemon, rejected),
+        ParseError::Text(text) => Answer::failure(Code::Invalid, text),
     }
 }
 

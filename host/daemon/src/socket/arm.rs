@@ -23,7 +23,10 @@ use super::{
     drives::Ticket,
     progress::{DriveWatch, Progress, cannot_arm, not_ready},
 };
-use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::Snapshot};
+use crate::{
+    clock::monotonic_ns,
+    handle::{DaemonHandle, Snapshot},
+};
 
 /// Requests to arm an unattended or timed drive, and waits for the outcome.
 pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), Refused> {

@@ -21,7 +21,7 @@ use super::{
     drives::Ticket,
     progress::{DriveWatch, Progress},
     setpoint::SetpointStream,
-    stream::{LONGEST_LINE, send, skip_line},
+    stream::{LONGEST_LINE, refuse_long_line, send},
     stream::{ReadHalf, WriteHalf},
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle};
@@ -163,9 +163,7 @@ async fn serve_drive(
         }
         if !line.ends_with(b"\n") {
             if line.len() as u64 >= LONGEST_LINE {
-                skip_line(read).await?;
-                let error = format!("a line is at most {LONGEST_LINE} bytes long");
-                send(write, &Answer::failure(Code::Invalid, error)).await?;
+                refuse_long_line(read, write).await?;
                 line.clear();
             }
             continue;

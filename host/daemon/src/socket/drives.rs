@@ -10,7 +10,10 @@ use singletrack_core::ControlRequest;
 use singletrack_pilot::PilotRequest;
 use tokio::sync::Mutex;
 
-use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::Snapshot};
+use crate::{
+    clock::monotonic_ns,
+    handle::{DaemonHandle, Snapshot},
+};
 
 /// Numbers the drives, so that a client or task of an earlier one does not end a later one, and
 /// orders the requests to arm.

@@ -26,6 +26,6 @@ mod thread;
 pub(crate) use bind::BoundSocket;
 pub use command::{Arm, Attendance, Command, ParseError};
 pub(crate) use drives::Drives;
+pub(crate) use setpoint::Newest;
 pub use setpoint::SetpointFigures;
-pub(crate) use setpoint::SetpointSource;
 pub(crate) use thread::SocketThread;

@@ -11,7 +11,10 @@ use tokio::{
     time::{Instant, timeout_at},
 };
 
-use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::Snapshot};
+use crate::{
+    clock::monotonic_ns,
+    handle::{DaemonHandle, Snapshot},
+};
 
 /// A tick, which all who wait for it share.
 type Tick = Arc<TickRecord<0>>;

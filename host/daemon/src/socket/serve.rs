@@ -21,7 +21,7 @@ use super::{
     command::{Attendance, Command},
     setpoint::SetpointStream,
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
-    stream::{LONGEST_LINE, send, skip_line},
+    stream::{LONGEST_LINE, refuse_long_line, send},
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, shared_status::WATCHERS};
 
@@ -82,12 +82,7 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
         if !line.ends_with(b"\n") && count as u64 == LONGEST_LINE {
             // The rest is read first: a client that is still writing would not read the
             // answer.
-            skip_line(&mut client.read).await?;
-            let answer = Answer::failure(
-                Code::Invalid,
-                format!("a line is at most {LONGEST_LINE} bytes long"),
-            );
-            send(&mut client.write, &answer).await?;
+            refuse_long_line(&mut client.read, &mut client.write).await?;
             continue;
         }
         let command = Command::parse(&line, monotonic_ns());

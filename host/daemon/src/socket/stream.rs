@@ -3,6 +3,7 @@
 use std::io;
 
 use serde::Serialize;
+use singletrack_api::{Answer, Code};
 use socket2::SockRef;
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
@@ -14,15 +15,19 @@ use tokio_util::either::Either;
 /// The longest line, in bytes: a trajectory of 100 points with all their digits.
 pub(super) const LONGEST_LINE: u64 = 16_384;
 
-/// Reads and discards up to the end of the line or of the stream.
-pub(super) async fn skip_line(read: &mut BufReader<ReadHalf>) -> io::Result<()> {
+/// Reads and discards up to the end of the line or of the stream, and answers that it is too long.
+pub(super) async fn refuse_long_line(
+    read: &mut BufReader<ReadHalf>,
+    write: &mut WriteHalf,
+) -> io::Result<()> {
     loop {
         let bytes = read.fill_buf().await?;
         let end = bytes.iter().position(|&byte| byte == b'\n');
         let count = end.map_or(bytes.len(), |end| end + 1);
         read.consume(count);
         if end.is_some() || count == 0 {
-            return Ok(());
+            let error = format!("a line is at most {LONGEST_LINE} bytes long");
+            return send(write, &Answer::failure(Code::Invalid, error)).await;
         }
         yield_now().await;
     }

@@ -21,7 +21,6 @@ use super::{
     command::{Arm, Attendance},
     drives::Drives,
     serve::serve,
-    setpoint::SetpointSource,
 };
 use crate::{
     clock::monotonic_ns, commissioned_file::CommissionedFile, control_thread::ControlThreadState,
@@ -74,7 +73,7 @@ impl Bench {
             reconfigurer: Reconfigurer::new(host.configurations, ring.clone(), entries),
             requests: ring,
             setpoints: host.setpoints,
-            source: SetpointSource::default(),
+            newest_setpoint: Arc::default(),
             jogs: host.jogs,
             tunings: host.tunings,
             config_path: None,

@@ -243,16 +243,12 @@ fn from_estimate(
         },
         twist: TwistWithCovariance {
             twist: Twist {
-                linear: Vector3 {
-                    x: estimate.speed * libm::cos(estimate.sideslip),
-                    y: estimate.speed * libm::sin(estimate.sideslip),
-                    z: 0.0,
-                },
-                angular: Vector3 {
-                    x: 0.0,
-                    y: 0.0,
-                    z: estimate.yaw_rate,
-                },
+                linear: vector([
+                    estimate.speed * libm::cos(estimate.sideslip),
+                    estimate.speed * libm::sin(estimate.sideslip),
+                    0.0,
+                ]),
+                angular: vector([0.0, 0.0, estimate.yaw_rate]),
             },
             covariance: planar(covariance.map(|of| of.twist)),
         },

@@ -71,15 +71,15 @@ pub struct RecorderThread {
 }
 
 impl RecorderThread {
-    /// Starts to write the entries of `feeds`. Before the thread writes an entry, it
-    /// passes it to `observe`, which must be short: the rings fill meanwhile.
+    /// Starts to write the entries of `feed`. Before the thread writes an entry, it
+    /// passes it to `observe`, which must be short: the ring fills meanwhile.
     ///
     /// # Errors
     ///
     /// When the thread can't be started.
     pub fn start(
         recorder: Recorder,
-        feeds: Vec<FeedOutput>,
+        feed: FeedOutput,
         observe: impl FnMut(&Entry) + Send + 'static,
     ) -> Result<Self, RecordError> {
         let path = recorder.path().to_owned();
@@ -87,7 +87,7 @@ impl RecorderThread {
         let stopped = Arc::clone(&stop);
         let thread = thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || run(recorder, feeds, observe, &stopped))
+            .spawn(move || run(recorder, feed, observe, &stopped))
             .map_err(|error| RecordError::Thread {
                 path: path.clone(),
                 what: format!("can't be started: {error}"),
@@ -101,7 +101,7 @@ impl RecorderThread {
         !self.thread.is_finished()
     }
 
-    /// Writes the entries that are still in the rings and completes the file.
+    /// Writes the entries that are still in the ring and completes the file.
     ///
     /// # Errors
     ///
@@ -119,7 +119,7 @@ impl RecorderThread {
 
 fn run(
     mut recorder: Recorder,
-    mut feeds: Vec<FeedOutput>,
+    mut feed: FeedOutput,
     mut observe: impl FnMut(&Entry),
     stop: &AtomicBool,
 ) -> Result<Finished, RecordError> {
@@ -128,24 +128,19 @@ fn run(
         entries: 0,
     };
     loop {
-        // Read before the rings are emptied, so that every entry pushed before the stop is
+        // Read before the ring is emptied, so that every entry pushed before the stop is
         // written.
         let stopping = stop.load(Ordering::Acquire);
         let mut idle = true;
-        for feed in &mut feeds {
-            // At most as many as the ring held: a fast feed must not starve the others.
-            for _ in 0..feed.ring.slots() {
-                let Ok(entry) = feed.ring.pop() else { break };
-                idle = false;
-                drops.time_ns = drops.time_ns.max(entry.time_ns());
-                observe(&entry);
-                recorder.write(&entry)?;
-            }
+        // At most as many as the ring held: drops are noted even if it never gets empty.
+        for _ in 0..feed.ring.slots() {
+            let Some(entry) = feed.pop() else { break };
+            idle = false;
+            drops.time_ns = drops.time_ns.max(entry.time_ns());
+            observe(&entry);
+            recorder.write(&entry)?;
         }
-        let dropped = feeds
-            .iter()
-            .map(|feed| feed.dropped.load(Ordering::Relaxed))
-            .sum();
+        let dropped = feed.dropped.load(Ordering::Relaxed);
         if dropped != drops.entries {
             drops.entries = dropped;
             let entry = Entry::Drops(drops);

@@ -7,12 +7,12 @@ use std::{
     fs,
     fs::File,
     io,
-    io::{BufWriter, Cursor, Seek, SeekFrom, Write},
+    io::{BufWriter, Write},
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 
-use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader};
+use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader, write::NoSeek};
 
 use super::{RecordError, put_in_place};
 use crate::{Channel, Encoder, Entry, Meta};
@@ -232,7 +232,7 @@ pub(crate) struct Container {
     pub(crate) path: PathBuf,
     /// The unfinished file.
     pub(crate) part: PathBuf,
-    writer: Writer<Output>,
+    writer: Writer<NoSeek<Output>>,
     /// Another handle of the same file, to sync it; none in memory.
     file: Option<File>,
 }
@@ -240,7 +240,7 @@ pub(crate) struct Container {
 /// Where the bytes go.
 pub(crate) enum Output {
     File(BufWriter<File>),
-    Memory(Cursor<Vec<u8>>),
+    Memory(Vec<u8>),
 }
 
 impl Write for Output {
@@ -255,15 +255,6 @@ impl Write for Output {
         match self {
             Self::File(file) => file.flush(),
             Self::Memory(memory) => memory.flush(),
-        }
-    }
-}
-
-impl Seek for Output {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        match self {
-            Self::File(file) => file.seek(to),
-            Self::Memory(memory) => memory.seek(to),
         }
     }
 }
@@ -290,7 +281,7 @@ impl Container {
 
     /// Starts one in memory.
     pub(crate) fn in_memory() -> Result<Self, RecordError> {
-        let memory = Output::Memory(Cursor::default());
+        let memory = Output::Memory(Vec::new());
         Self::with_output("memory".into(), "memory".into(), memory, None)
     }
 
@@ -310,7 +301,7 @@ impl Container {
             .chunk_size(None)
             // Otherwise an open chunk makes the whole file unreadable.
             .disable_seeking(true)
-            .create(output)
+            .create(NoSeek::new(output))
             .map_err(|source| RecordError::Write {
                 path: part.clone(),
                 source: Box::new(source),
@@ -326,7 +317,7 @@ impl Container {
     /// Calls `write` with the writer of the file.
     pub(crate) fn write<T>(
         &mut self,
-        write: impl FnOnce(&mut Writer<Output>) -> Result<T, McapError>,
+        write: impl FnOnce(&mut Writer<NoSeek<Output>>) -> Result<T, McapError>,
     ) -> Result<T, RecordError> {
         write(&mut self.writer).map_err(|source| RecordError::Write {
             path: self.part.clone(),
@@ -386,10 +377,8 @@ impl Container {
             writer,
             file,
         } = self;
-        writer
-            .into_inner()
-            .flush()
-            .map_err(failure("write", &part))?;
+        let mut output = writer.into_inner().into_inner();
+        output.flush().map_err(failure("write", &part))?;
         let Some(file) = file else {
             return Ok(0);
         };
@@ -405,8 +394,8 @@ impl Container {
     /// Completes what is in memory, and returns it.
     fn into_bytes(mut self) -> Result<Vec<u8>, RecordError> {
         self.write(Writer::finish)?;
-        match self.writer.into_inner() {
-            Output::Memory(memory) => Ok(memory.into_inner()),
+        match self.writer.into_inner().into_inner() {
+            Output::Memory(memory) => Ok(memory),
             Output::File(_) => Ok(Vec::new()),
         }
     }

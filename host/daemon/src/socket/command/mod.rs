@@ -72,34 +72,18 @@ pub enum Command {
 
 /// Why a line is no command: the text of the answer, which says what to write instead.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text}")]
-pub struct ParseError {
-    text: String,
-    /// The line is a set-point, and rejected with this word.
-    pub(super) rejected: Option<Refused>,
+pub enum ParseError {
+    /// It is not understood.
+    #[error("{0}")]
+    Text(String),
+    /// It is a set-point, and rejected.
+    #[error(transparent)]
+    Rejected(#[from] Refused),
 }
 
 impl From<String> for ParseError {
     fn from(text: String) -> Self {
-        Self {
-            text,
-            rejected: None,
-        }
-    }
-}
-
-impl From<&str> for ParseError {
-    fn from(text: &str) -> Self {
-        text.to_owned().into()
-    }
-}
-
-impl From<Refused> for ParseError {
-    fn from(rejected: Refused) -> Self {
-        Self {
-            text: rejected.text.clone(),
-            rejected: Some(rejected),
-        }
+        Self::Text(text)
     }
 }
 
@@ -138,7 +122,7 @@ impl Command {
             Ok(request) => Self::of(request, now_ns),
             Err(RequestError(text)) => Err(match unreadable(line) {
                 Some(code) => Refused { code, text }.into(),
-                None => text.into(),
+                None => ParseError::Text(text),
             }),
         }
     }
@@ -153,7 +137,8 @@ impl Command {
                 match (arm.jog, attendance) {
                     (true, Attendance::Hold) => Self::ArmJog,
                     (true, _) => {
-                        return Err("jogging must be held: \"attendance\":\"hold\"".into());
+                        let text = "jogging must be held: \"attendance\":\"hold\"";
+                        return Err(text.to_owned().into());
                     }
                     (false, attendance) => Self::Arm(Arm {
                         attendance,
@@ -169,7 +154,9 @@ impl Command {
             Request::Configuration {} => Self::Configuration,
             Request::Disarm { at_once, carried } => Self::End(match (at_once, carried) {
                 (true, true) => {
-                    return Err("disarm takes at_once or carried, not both".into());
+                    return Err("disarm takes at_once or carried, not both"
+                        .to_owned()
+                        .into());
                 }
                 (true, false) => PilotRequest::Halt,
                 (false, true) => PilotRequest::Carried,

@@ -1,18 +1,19 @@
-//! Set-points of a client: the checks that need more than the line.
+//! Set-points of a client: the checks that need more than the line, which connection gives them, and the
+//! count of those that have no effect.
 
-mod rejection;
-mod source;
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, PoisonError, Weak},
+};
 
-use singletrack_api::{Answer, Code, Refused};
+use serde::Serialize;
+use serde_json::Value;
+use singletrack_api::{Answer, Code, Refused, has_null, is_too_large};
 use singletrack_control::Time;
 use singletrack_core::setpoint::{SetpointCommand, code};
+use singletrack_pilot::SetpointRefusal;
 
 use crate::{clock::monotonic_ns, handle::DaemonHandle};
-
-pub use rejection::SetpointFigures;
-pub(super) use rejection::unreadable;
-pub(crate) use source::SetpointSource;
-use source::{Identity, Newest};
 
 /// The set-points of one connection.
 #[derive(Debug, Default)]
@@ -31,7 +32,10 @@ impl SetpointStream {
     ) -> Option<Answer> {
         let timeout = daemon.reconfigurer.published().setpoint_timeout();
         // Held until it is passed on, so that the newest one is also the last one in the slot.
-        let mut newest = daemon.source.lock();
+        let mut newest = daemon
+            .newest_setpoint
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         if let Err(rejected) = self.admit(command, &mut newest, Time(monotonic_ns()), timeout) {
             return Some(reject(daemon, &rejected));
         }
@@ -92,9 +96,98 @@ pub(super) fn reject(daemon: &DaemonHandle, rejected: &Refused) -> Answer {
     }
 }
 
+/// A connection, for as long as it exists.
+type Identity = Arc<()>;
+
+/// The newest set-point that was accepted: when it was decided, and of which connection it is.
+///
+/// Two programs that steer at the same time would drive the car by turns. So one connection is
+/// the source: the one that gave the newest set-point, for as long as it is connected and that
+/// set-point is younger than the time-out. It need not be the one that holds the drive: a person
+/// may hold it while a program steers.
+#[derive(Debug, Default)]
+pub(crate) struct Newest(Option<(Time, Weak<()>)>);
+
+impl Newest {
+    /// Whether a set-point of `connection` may replace it at `now`.
+    fn admits(&self, connection: &Identity, now: Time, timeout: f64) -> Result<(), Refused> {
+        let Self(Some((newest, source))) = self else {
+            return Ok(());
+        };
+        let is_other = source
+            .upgrade()
+            .is_some_and(|source| !Arc::ptr_eq(&source, connection));
+        if is_other && now.seconds_since(*newest) <= timeout {
+            return Err(Refused::new(
+                Code::OtherSource,
+                format_args!(
+                    "another connection gives the set-points: end that program, or wait until it \
+                     has given none for {:.0} ms (reference.setpoint_timeout_ms)",
+                    timeout * 1e3
+                ),
+            ));
+        }
+        Ok(())
+    }
+
+    /// Takes note of a set-point that was decided at `time`.
+    fn replace(&mut self, connection: &Identity, time: Time) {
+        let Self(newest) = self;
+        // The pilot refuses one that was decided before the newest.
+        if newest.as_ref().is_none_or(|(newest, _)| *newest <= time) {
+            *newest = Some((time, Arc::downgrade(connection)));
+        }
+    }
+}
+
+/// Counts of set-points since the daemon started.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct SetpointFigures {
+    /// Passed on to the control thread.
+    pub accepted: u64,
+    /// Rejected, by the word of the answer; without the words that never occurred.
+    pub rejected: BTreeMap<&'static str, u64>,
+    /// Accepted, and refused by the pilot at its tick; by the pilot's word.
+    pub refused: BTreeMap<&'static str, u64>,
+}
+
+impl SetpointFigures {
+    fn reject(&mut self, why: Code) {
+        *self.rejected.entry(why.name()).or_default() += 1;
+    }
+
+    /// The pilot refused one that was accepted.
+    pub(crate) fn refuse(&mut self, why: SetpointRefusal) {
+        *self.refused.entry(why.name()).or_default() += 1;
+    }
+}
+
+/// Why a line that does not parse is rejected as a set-point; `None` if it is none.
+///
+/// JSON has no word for what is not finite. Programs write `NaN` or `Infinity`, which is no
+/// JSON, `null`, or a number that is too large.
+pub(super) fn unreadable(line: &[u8]) -> Option<Code> {
+    let contains = |part: &[u8]| line.windows(part.len()).any(|window| window == part);
+    contains(b"\"setpoint\"").then(|| {
+        let is_number = match serde_json::from_slice::<Value>(line) {
+            // The null of a key counts as left out.
+            Ok(Value::Object(keys)) => keys.values().any(|it| !it.is_null() && has_null(it)),
+            Ok(_) => false,
+            Err(error) => is_too_large(&error),
+        };
+        let is_word = [&b"NaN"[..], b"nan", b"Infinity", b"inf"];
+        if is_number || is_word.into_iter().any(contains) {
+            Code::NotFinite
+        } else {
+            Code::Invalid
+        }
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use serde_json::json;
 
     const SECOND: u64 = 1_000_000_000;
     const NOW: Time = Time(100 * SECOND);
@@ -200,5 +293,44 @@ mod tests {
             let now = after(ms);
             assert_eq!(admit(&mut other, &mut newest, (now, None), now), result);
         }
+    }
+
+    #[test]
+    fn every_rejection_and_refusal_is_counted_by_its_word() {
+        let mut figures = SetpointFigures::default();
+        let codes = [
+            Code::Invalid,
+            Code::NotFinite,
+            Code::OutOfRange,
+            Code::Future,
+            Code::Old,
+            Code::Sequence,
+            Code::OtherSource,
+            Code::NotExternal,
+        ];
+        for (count, why) in (1..).zip(codes) {
+            for _ in 0..count {
+                figures.reject(why);
+            }
+        }
+        for (count, why) in (1..).zip(SetpointRefusal::ALL) {
+            for _ in 0..count {
+                figures.refuse(why);
+            }
+        }
+        assert_eq!(
+            serde_json::to_value(figures).unwrap(),
+            json!({
+                "accepted": 0,
+                "rejected": {
+                    "invalid": 1, "not-finite": 2, "out-of-range": 3, "future": 4, "old": 5,
+                    "sequence": 6, "other-source": 7, "not-external": 8,
+                },
+                "refused": {
+                    "not-finite": 1, "out-of-range": 2, "future": 3, "old": 4, "superseded": 5,
+                    "incomplete": 6, "not-external": 7,
+                },
+            })
+        );
     }
 }
