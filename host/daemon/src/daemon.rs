@@ -121,7 +121,10 @@ impl Daemon {
             proofs: state.proofs(),
             ..HostOptions::default()
         };
-        let host = Host::new(config, options_of_host).map_err(|error| error.to_string())?;
+        let host = match Host::new(config, options_of_host) {
+            Ok(host) => host,
+            Err(error) => return Err(error.to_string()),
+        };
         let config = host.configurations.in_force.clone();
         let mut refusals = Vec::new();
         let memory_locked = options.lock_memory

@@ -74,6 +74,9 @@ fn push_float(text: &mut String, value: f64) {
     }
 }
 
+/// Shows the element of a list with this index.
+pub(crate) type Element<'a> = &'a dyn Fn(usize, &mut dyn Visitor);
+
 /// Visits the fields of a message in the order of its schema.
 pub(crate) trait Visitor {
     /// A value.
@@ -82,12 +85,7 @@ pub(crate) trait Visitor {
     /// meaning.
     fn message(&mut self, name: &'static str, present: bool, fields: &dyn Fn(&mut dyn Visitor));
     /// A list of messages.
-    fn list(
-        &mut self,
-        name: &'static str,
-        length: usize,
-        element: &dyn Fn(usize, &mut dyn Visitor),
-    );
+    fn list(&mut self, name: &'static str, length: usize, element: Element<'_>);
 }
 
 /// Collects the paths of all values, with dots between the names. They are the same for
@@ -111,7 +109,7 @@ impl Visitor for Paths {
         self.prefix.truncate(length);
     }
 
-    fn list(&mut self, name: &'static str, _: usize, _: &dyn Fn(usize, &mut dyn Visitor)) {
+    fn list(&mut self, name: &'static str, _: usize, _: Element<'_>) {
         self.value(name, Value::Absent);
     }
 }
@@ -145,7 +143,7 @@ impl Visitor for Values<'_> {
         self.absent = outer;
     }
 
-    fn list(&mut self, name: &'static str, length: usize, _: &dyn Fn(usize, &mut dyn Visitor)) {
+    fn list(&mut self, name: &'static str, length: usize, _: Element<'_>) {
         self.value(name, Value::Unsigned(length as u64));
     }
 }
@@ -215,12 +213,7 @@ impl Visitor for Json<'_> {
         }
     }
 
-    fn list(
-        &mut self,
-        name: &'static str,
-        length: usize,
-        element: &dyn Fn(usize, &mut dyn Visitor),
-    ) {
+    fn list(&mut self, name: &'static str, length: usize, element: Element<'_>) {
         self.key(name);
         self.text.push('[');
         for index in 0..length {

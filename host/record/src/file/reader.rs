@@ -46,14 +46,12 @@ pub struct Reader {
     pub meta: Meta,
     /// Whether the data section has ended and only the summary follows.
     data_ended: bool,
-    /// The message that [`Reader::advance`] went to.
-    content: Vec<u8>,
+    /// The message that [`Reader::advance`] went to; its content is in the catalogue.
     at: Option<Recorded>,
     /// [`Topic::list_at`] of ticks.
     events_at: Option<usize>,
     bytes: u64,
     entries: u64,
-    topics: Option<Vec<Topic>>,
     /// How the record ended; none before the end, and after an error.
     pub ending: Option<Ending>,
     failed: bool,
@@ -105,12 +103,16 @@ struct Catalogue {
     schemas: HashMap<u16, (String, bool)>,
     /// Our channels: their topics, by id.
     channels: Vec<Option<Topic>>,
+    /// The topics that are read, if not all are.
+    topics: Option<Vec<Topic>>,
+    /// The last message that was taken.
+    content: Vec<u8>,
 }
 
 /// One step through the file.
 enum Step {
     Nothing,
-    /// A message, which is now in [`Reader::content`].
+    /// A message, which is now in [`Catalogue::content`].
     Message(Recorded),
     /// A message of a topic that is not read.
     Skipped,
@@ -154,12 +156,10 @@ impl Reader {
             catalogue: Catalogue::default(),
             meta: Meta::default(),
             data_ended: false,
-            content: Vec::new(),
             at: None,
             events_at: Topic::Tick.list_at(),
             bytes: 0,
             entries: 0,
-            topics: None,
             ending: None,
             failed: false,
         };
@@ -170,7 +170,7 @@ impl Reader {
     /// Yields entries of these topics only; others are not decoded.
     #[must_use]
     pub fn only(mut self, topics: &[Topic]) -> Self {
-        self.topics = Some(topics.to_vec());
+        self.catalogue.topics = Some(topics.to_vec());
         self
     }
 
@@ -293,7 +293,7 @@ impl Reader {
         read: impl FnOnce(&[u8]) -> Result<(), String>,
     ) -> Result<Option<u32>, RecordError> {
         let events_at = self.events_at.filter(|_| topic == Topic::Tick);
-        let head = events_at.and_then(|at| self.content.get_mut(..at + LENGTH));
+        let head = events_at.and_then(|at| self.catalogue.content.get_mut(..at + LENGTH));
         let mut events = None;
         let read = match head {
             Some(head) => {
@@ -305,7 +305,7 @@ impl Reader {
                 }
                 read
             }
-            None => read(&self.content),
+            None => read(&self.catalogue.content),
         };
         read.map_err(|reason| self.invalid(topic, &reason))?;
         Ok(events)
@@ -322,7 +322,7 @@ impl Reader {
             return Ok(());
         };
         topic
-            .write_json(&self.content, json)
+            .write_json(&self.catalogue.content, json)
             .map_err(|reason| self.invalid(topic, &reason))
     }
 
@@ -390,10 +390,7 @@ impl Reader {
     /// Reads the next record of the container.
     fn step(&mut self) -> Result<Step, RecordError> {
         let step = match self.chunk.next() {
-            Some(Ok((opcode, data))) => {
-                let topics = self.topics.as_deref();
-                self.catalogue.take(opcode, data, topics, &mut self.content)
-            }
+            Some(Ok((opcode, data))) => self.catalogue.take(opcode, data),
             Some(Err(error)) => Err(error.into()),
             None => return self.step_outside(),
         };
@@ -435,10 +432,7 @@ impl Reader {
                 Ok(()) => Ok(Step::Nothing),
                 Err(error) => Err(error.into()),
             },
-            _ => {
-                let topics = self.topics.as_deref();
-                self.catalogue.take(opcode, data, topics, &mut self.content)
-            }
+            _ => self.catalogue.take(opcode, data),
         };
         step.map_err(|refused| self.refuse(refused))
     }
@@ -478,15 +472,9 @@ const MESSAGE_HEAD_LENGTH: usize = 2 + 4 + 8 + 8;
 
 impl Catalogue {
     /// Takes one record of the container; a message goes to `content`.
-    fn take(
-        &mut self,
-        opcode: u8,
-        data: &[u8],
-        topics: Option<&[Topic]>,
-        content: &mut Vec<u8>,
-    ) -> Result<Step, Refused> {
+    fn take(&mut self, opcode: u8, data: &[u8]) -> Result<Step, Refused> {
         if opcode == op::MESSAGE {
-            return self.take_message(data, topics, content);
+            return self.take_message(data);
         }
         match parse_record(opcode, data)? {
             Record::Header(header) => self.header = Some((header.profile, header.library)),
@@ -532,12 +520,7 @@ impl Catalogue {
     }
 
     /// Takes a message, as nearly all records are.
-    fn take_message(
-        &self,
-        data: &[u8],
-        topics: Option<&[Topic]>,
-        content: &mut Vec<u8>,
-    ) -> Result<Step, Refused> {
+    fn take_message(&mut self, data: &[u8]) -> Result<Step, Refused> {
         let Some((head, data)) = data.split_first_chunk::<MESSAGE_HEAD_LENGTH>() else {
             return Err(Refused::Damage(format!(
                 "a message of {} bytes is too short to be one",
@@ -549,11 +532,12 @@ impl Catalogue {
         let Some(Some(topic)) = self.channels.get(id).copied() else {
             return Ok(Step::Nothing);
         };
+        let topics = self.topics.as_deref();
         if topics.is_some_and(|topics| !topics.contains(&topic)) {
             return Ok(Step::Skipped);
         }
-        content.clear();
-        content.extend_from_slice(data);
+        self.content.clear();
+        self.content.extend_from_slice(data);
         Ok(Step::Message(Recorded {
             topic,
             wall_ns: u64::from_le_bytes(log_time),
@@ -572,7 +556,7 @@ impl Iterator for Reader {
             Ok(recorded) => recorded,
             Err(error) => return Some(Err(error)),
         };
-        let entry = Entry::decode(topic, &self.content);
+        let entry = Entry::decode(topic, &self.catalogue.content);
         Some(entry.map_err(|reason| self.invalid(topic, &reason)))
     }
 }

@@ -348,7 +348,8 @@ const STEERING_RESERVE: f64 = 0.97;
 
 /// The circle that P and car settle on, without slip.
 #[derive(Clone, Copy)]
-pub(super) struct SteadyCircle {
+pub(super) struct SteadyCircle<'a> {
+    config: &'a Config,
     /// Radius of P: smaller than that of the reference without feed-forward, m.
     point: f64,
     /// Radius of P over that of the reference.
@@ -359,9 +360,9 @@ pub(super) struct SteadyCircle {
     least: f64,
 }
 
-impl SteadyCircle {
+impl<'a> SteadyCircle<'a> {
     /// For a reference of this radius (m) and angular velocity (rad/s).
-    pub(super) fn of(config: &Config, limits: &Limits, radius: f64, rate: f64) -> Self {
+    pub(super) fn of(config: &'a Config, limits: &Limits, radius: f64, rate: f64) -> Self {
         // P is an integrator per axis in a proportional loop: a first-order low pass.
         let factor = match config.outer_loop {
             OuterLoopSection::Proportional {
@@ -374,6 +375,7 @@ impl SteadyCircle {
         let rear = wheelbase / libm::tan(limits.max_steering);
         let distance = config.law.point_distance_m;
         Self {
+            config,
             point: factor * radius,
             factor,
             rate,
@@ -382,22 +384,23 @@ impl SteadyCircle {
     }
 
     /// Radius of the rear axle's circle, m; `None` if P's circle is too small for any angle.
-    fn rear_axle(&self, config: &Config) -> Option<f64> {
-        let wheelbase = config.vehicle.wheelbase_m();
-        let distance = config.law.point_distance_m;
+    fn rear_axle(&self) -> Option<f64> {
+        let wheelbase = self.config.vehicle.wheelbase_m();
+        let distance = self.config.law.point_distance_m;
         let squared = self.point * self.point - distance * distance - wheelbase * wheelbase;
         (squared > 0.0).then(|| squared.sqrt())
     }
 
     /// Radius of the circle of the centre of mass, m; `None` if P's circle is too small for any angle.
-    pub(super) fn centre_of_mass(&self, config: &Config) -> Option<f64> {
-        let rear = self.rear_axle(config)?;
-        Some(libm::hypot(rear, config.vehicle.rear_axle_distance_m))
+    pub(super) fn centre_of_mass(&self) -> Option<f64> {
+        let rear = self.rear_axle()?;
+        Some(libm::hypot(rear, self.config.vehicle.rear_axle_distance_m))
     }
 
     /// The largest radius of the reference, m, rounded down, with which the centre of mass keeps
     /// within `room` (m); `None` if the car can't drive it.
-    pub(super) fn largest(&self, config: &Config, room: f64) -> Option<f64> {
+    pub(super) fn largest(&self, room: f64) -> Option<f64> {
+        let config = self.config;
         let rear = config.vehicle.rear_axle_distance_m;
         let ahead = libm::hypot(config.law.point_distance_m, config.vehicle.wheelbase_m());
         let point = (room * room - rear * rear + ahead * ahead).max(0.0).sqrt();
@@ -406,14 +409,8 @@ impl SteadyCircle {
 
     /// Judges the steering that it takes, for a reference that was asked for with the radius
     /// `asked` (m). Returns the radius of the rear axle's circle, m, if P can drive it.
-    pub(super) fn judge_radius(
-        &self,
-        config: &Config,
-        asked: f64,
-        findings: &mut Vec<Finding>,
-    ) -> Option<f64> {
-        let limits = &config.limits;
-        let wheelbase = config.vehicle.wheelbase_m();
+    pub(super) fn judge_radius(&self, asked: f64, findings: &mut Vec<Finding>) -> Option<f64> {
+        let limits = &self.config.limits;
         let lags = if self.factor < 1.0 {
             format!(
                 ", and without outer_loop.feed_forward P settles on {:.2} m at \
@@ -424,7 +421,7 @@ impl SteadyCircle {
             String::new()
         };
         let smallest = round_up(self.least / self.factor);
-        let rear = self.rear_axle(config).filter(|_| self.point >= self.least);
+        let rear = self.rear_axle().filter(|_| self.point >= self.least);
         let Some(rear) = rear else {
             let fix = format!(
                 "with limits.max_steering_rad = {} P can't drive a circle below {:.2} m{lags}; \
@@ -434,7 +431,7 @@ impl SteadyCircle {
             findings.push(Finding::impossible("reference.radius_m", asked, fix));
             return None;
         };
-        let steering = libm::atan(wheelbase / rear);
+        let steering = libm::atan(self.config.vehicle.wheelbase_m() / rear);
         if steering > STEERING_RESERVE * limits.max_steering_rad {
             let fix = format!(
                 "the circle takes a steering angle of {steering:.3} rad of \
@@ -449,9 +446,9 @@ impl SteadyCircle {
     }
 
     /// Judges the speed and the lateral acceleration that it takes.
-    pub(super) fn judge_pace(&self, config: &Config, rear: f64, findings: &mut Vec<Finding>) {
+    pub(super) fn judge_pace(&self, rear: f64, findings: &mut Vec<Finding>) {
         const RATE: &str = "reference.angular_velocity_rad_s";
-        let limits = &config.limits;
+        let (limits, vehicle) = (&self.config.limits, &self.config.vehicle);
         let speed = self.point * self.rate;
         if speed > limits.max_speed_m_s {
             let fix = format!(
@@ -464,7 +461,7 @@ impl SteadyCircle {
         }
         // The speed of the centre of mass, and the lateral acceleration as the limit is
         // defined: v² tan δ/L.
-        let centre = libm::hypot(rear, config.vehicle.rear_axle_distance_m);
+        let centre = libm::hypot(rear, vehicle.rear_axle_distance_m);
         let lateral = (self.rate * centre).powi(2) / rear;
         if lateral > limits.max_lateral_acceleration_m_s2 {
             let most = (limits.max_lateral_acceleration_m_s2 * rear).sqrt() / centre;

@@ -194,41 +194,16 @@ fn judge_untuned(
     stand: Option<Stand>,
     longest_s: Option<f64>,
 ) -> Result<Judgement, ConfigError> {
-    let pilot = config.pilot()?;
+    let pilot = &config.pilot()?;
     let mut judgement = Judgement::default();
-    let findings = &mut judgement.findings;
     if matches!(config.reference, ReferenceSection::External { .. }) {
         return Ok(judgement);
     }
-    let governor = pilot
-        .governor
-        .as_ref()
-        .filter(|_| pilot.governor().is_some());
-    let governed =
-        governor.and_then(|governor| judge_governed(&pilot, governor, &config.vehicle, findings));
-    if let ReferenceSection::Circle {
-        radius_m,
-        angular_velocity_rad_s,
-        ..
-    } = config.reference
-    {
-        let rate = angular_velocity_rad_s.abs();
-        if let (Some(governor), Some(governed)) = (governor, governed) {
-            let radius = radius_m.max(governor.least_radius());
-            let circle = SteadyCircle::of(config, &pilot.limits, radius, rate / governed.longer);
-            circle.judge_radius(config, radius_m, findings);
-        } else {
-            let circle = SteadyCircle::of(config, &pilot.limits, radius_m, rate);
-            if let Some(rear) = circle.judge_radius(config, radius_m, findings) {
-                circle.judge_pace(config, rear, findings);
-            }
-        }
-    } else if governor.is_none() {
-        judge_saturation(&pilot, &config.vehicle, findings);
-    }
+    let drive = Drive { config, pilot };
+    drive.judge_reference(&mut judgement.findings);
     // Where the reference can't be steered, the geofence is not the problem.
     if judgement.is_possible() {
-        judge_fence(config, &pilot, stand, longest_s, &mut judgement);
+        drive.judge_fence(stand, longest_s, &mut judgement);
     }
     Ok(judgement)
 }
@@ -307,23 +282,75 @@ fn section_of(config: &Config, name: &str) -> Option<(&'static Section, toml::Va
     Some((section, written))
 }
 
-/// Tells what the governor makes of the reference.
-fn judge_governed(
-    pilot: &PilotConfig,
-    governor: &GovernorConfig,
-    vehicle: &VehicleParameters,
-    findings: &mut Vec<Finding>,
-) -> Option<Governed> {
-    let start = starts_on(&pilot.reference, pilot, vehicle).next()?;
-    let governed = Car::new(pilot, vehicle, start).governed();
-    let Governed {
-        by,
-        longer,
-        beside,
-        ends,
-        waits,
-    } = governed;
-    if let Some(by) = by {
+/// A drive as it is asked for.
+struct Drive<'a> {
+    config: &'a Config,
+    pilot: &'a PilotConfig,
+}
+
+impl Drive<'_> {
+    /// Tells where the car can't follow the reference, wherever that is.
+    fn judge_reference(&self, findings: &mut Vec<Finding>) {
+        let pilot = self.pilot;
+        let governor = pilot.governor.as_ref();
+        let governor = governor.filter(|_| pilot.governor().is_some());
+        let governed = governor.and_then(|governor| self.judge_governed(governor, findings));
+        if let Some((circle, asked)) = self.circle(governor.zip(governed)) {
+            let rear = circle.judge_radius(asked, findings);
+            if let Some(rear) = rear.filter(|_| governed.is_none()) {
+                circle.judge_pace(rear, findings);
+            }
+        } else if governor.is_none() {
+            self.judge_saturation(findings);
+        }
+    }
+
+    /// The circle that is asked for, as it is governed, and the radius that is asked for, m.
+    fn circle(
+        &self,
+        governed: Option<(&GovernorConfig, Governed)>,
+    ) -> Option<(SteadyCircle<'_>, f64)> {
+        let ReferenceSection::Circle {
+            radius_m,
+            angular_velocity_rad_s,
+            ..
+        } = self.config.reference
+        else {
+            return None;
+        };
+        let rate = angular_velocity_rad_s.abs();
+        let (radius, rate) = match governed {
+            Some((governor, governed)) => (
+                radius_m.max(governor.least_radius()),
+                rate / governed.longer,
+            ),
+            None => (radius_m, rate),
+        };
+        let circle = SteadyCircle::of(self.config, &self.pilot.limits, radius, rate);
+        Some((circle, radius_m))
+    }
+
+    fn car(&self, start: Stand) -> Car {
+        Car::new(self.pilot, &self.config.vehicle, start)
+    }
+
+    fn margin_m(&self) -> f64 {
+        self.config.fence.margin_m(&self.config.vehicle)
+    }
+
+    /// Tells what the governor makes of the reference.
+    fn judge_governed(
+        &self,
+        governor: &GovernorConfig,
+        findings: &mut Vec<Finding>,
+    ) -> Option<Governed> {
+        let start = self.starts_on(&self.pilot.reference).next()?;
+        let governed = self.car(start).governed();
+        let Some(by) = governed.by else {
+            return Some(governed);
+        };
+        let Governed { longer, beside, .. } = governed;
+        let asks = format!("the reference asks too much ({by})");
         let wide = if beside > BESIDE_M {
             format!(
                 ", and P is led up to {beside:.2} m beside the path (the smallest circle that it \
@@ -333,207 +360,186 @@ fn judge_governed(
         } else {
             String::new()
         };
-        if waits {
-            let corners: Vec<_> = pilot
-                .fence
-                .corners()
-                .iter()
-                .map(|at| [at.x, at.y])
-                .collect();
-            let corners = format!("{corners:?}");
+        findings.push(if governed.waits {
+            let corners = self.pilot.fence.corners().iter();
+            let corners: Vec<_> = corners.map(|at| [at.x, at.y]).collect();
             let fix = "the reference leads out of it, and governed it waits there for ever; widen \
                        the fence, or give a reference that stays inside";
-            findings.push(Finding::impossible("fence.corners_m", corners, fix));
-            return Some(governed);
-        }
-        let (severity, fix) = if ends {
+            Finding::impossible("fence.corners_m", format!("{corners:?}"), fix)
+        } else if governed.ends {
             let fix = format!(
-                "the reference asks too much ({}): governed it takes {longer:.1} times as \
-                 long{wide}; give a slower or wider one to have it followed as it is",
-                by.name()
+                "{asks}: governed it takes {longer:.1} times as long{wide}; give a slower or wider \
+                 one to have it followed as it is"
             );
-            (Severity::Warning, fix)
+            Finding::warning("governor.enabled", true, fix)
         } else {
             let fix = format!(
-                "the reference asks too much ({}), and governed it does not come to its end{wide}; \
-                 give a slower or wider one",
-                by.name()
+                "{asks}, and governed it does not come to its end{wide}; give a slower or wider one"
             );
-            (Severity::Impossible, fix)
-        };
-        findings.push(Finding::new(severity, "governor.enabled", true, fix));
+            Finding::impossible("governor.enabled", true, fix)
+        });
+        Some(governed)
     }
-    Some(governed)
-}
 
-/// For how much of the drive a limit is in the way of the reference.
-fn judge_saturation(pilot: &PilotConfig, vehicle: &VehicleParameters, findings: &mut Vec<Finding>) {
-    let Some(start) = starts_on(&pilot.reference, pilot, vehicle).next() else {
-        return;
-    };
-    let limits = &pilot.limits;
-    let shares = Car::new(pilot, vehicle, start).saturated();
-    for (share, (key, value, what)) in shares.into_iter().zip([
-        ("limits.max_steering_rad", limits.max_steering, "steering"),
-        ("limits.max_speed_m_s", limits.max_speed, "speed"),
-        (
-            "limits.max_lateral_acceleration_m_s2",
-            limits.max_lateral_acceleration,
-            "lateral acceleration",
-        ),
-    ]) {
-        let severity = match share {
-            share if share > SATURATED_ERROR => Severity::Impossible,
-            share if share > SATURATED_WARNING => Severity::Warning,
-            _ => continue,
+    /// For how much of the drive a limit is in the way of the reference.
+    fn judge_saturation(&self, findings: &mut Vec<Finding>) {
+        let Some(start) = self.starts_on(&self.pilot.reference).next() else {
+            return;
         };
-        let fix = format!(
-            "the reference keeps the {what} at this limit for {:.0} % of the drive; give a slower \
-             or wider reference",
-            100.0 * share
-        );
-        findings.push(Finding::new(severity, key, value, fix));
-    }
-}
-
-fn judge_fence(
-    config: &Config,
-    pilot: &PilotConfig,
-    stand: Option<Stand>,
-    longest_s: Option<f64>,
-    judgement: &mut Judgement,
-) {
-    let vehicle = &config.vehicle;
-    let until = duration(&pilot.reference);
-    // A governed reference may take longer.
-    let longest = longest_s.unwrap_or(LONGER * until);
-    let ends = |fence: &Fence, start| {
-        let car = || Car::new(pilot, vehicle, start);
-        match car().drive(fence, until, longest) {
-            Ended::Inside if pilot.supervisor.prove => {
-                car().drive_first_metre(fence, longest.min(FIRST_METRE_S))
-            }
-            ended => ended,
+        let limits = &self.pilot.limits;
+        let shares = self.car(start).saturated();
+        for (share, (key, value, what)) in shares.into_iter().zip([
+            ("limits.max_steering_rad", limits.max_steering, "steering"),
+            ("limits.max_speed_m_s", limits.max_speed, "speed"),
+            (
+                "limits.max_lateral_acceleration_m_s2",
+                limits.max_lateral_acceleration,
+                "lateral acceleration",
+            ),
+        ]) {
+            let severity = match share {
+                share if share > SATURATED_ERROR => Severity::Impossible,
+                share if share > SATURATED_WARNING => Severity::Warning,
+                _ => continue,
+            };
+            let fix = format!(
+                "the reference keeps the {what} at this limit for {:.0} % of the drive; give a \
+                 slower or wider reference",
+                100.0 * share
+            );
+            findings.push(Finding::new(severity, key, value, fix));
         }
-    };
-    let with_reserve = Fence::new(
-        pilot.fence.corners(),
-        config.fence.margin_m(vehicle) + RESERVE_M,
-    );
-    let left = stand.map(|stand| (stand, ends(&pilot.fence, stand)));
-    if let Some((stand, Ended::Inside)) = left {
-        judgement.start = Some(stand);
-        return;
     }
-    // Where the reference would begin from here, the way to carry the car is short.
-    let reference = stand.map_or_else(|| pilot.reference.clone(), |stand| begun(pilot, stand));
-    let candidates = || {
-        starts_on(&reference, pilot, vehicle)
-            .chain(starts_inside(&pilot.fence, heading(&reference)))
-    };
-    let find = |fence: &Fence| candidates().find(|start| ends(fence, *start) == Ended::Inside);
-    let safe = with_reserve.ok().as_ref().and_then(find);
-    judgement.start = safe.or_else(|| find(&pilot.fence));
-    if let Some((stand, left)) = left {
-        let finding = match judgement.start {
-            Some(place) => elsewhere(pilot, &left, stand, place),
-            None => leaves(config, &left, Some(stand)),
+
+    fn judge_fence(&self, stand: Option<Stand>, longest_s: Option<f64>, judgement: &mut Judgement) {
+        let pilot = self.pilot;
+        let until = duration(&pilot.reference);
+        // A governed reference may take longer.
+        let longest = longest_s.unwrap_or(LONGER * until);
+        let ends = |fence: &Fence, start| match self.car(start).drive(fence, until, longest) {
+            Ended::Inside if pilot.supervisor.prove => self
+                .car(start)
+                .drive_first_metre(fence, longest.min(FIRST_METRE_S)),
+            ended => ended,
         };
-        judgement.findings.push(finding);
-        return;
+        let left = stand.map(|stand| (stand, ends(&pilot.fence, stand)));
+        if let Some((stand, Ended::Inside)) = left {
+            judgement.start = Some(stand);
+            return;
+        }
+        // Where the reference would begin from here, the way to carry the car is short.
+        let reference = stand.map_or_else(|| pilot.reference.clone(), |stand| begun(pilot, stand));
+        let candidates = || {
+            let inside = starts_inside(&pilot.fence, heading(&reference));
+            self.starts_on(&reference).chain(inside)
+        };
+        let find = |fence: &Fence| candidates().find(|start| ends(fence, *start) == Ended::Inside);
+        let with_reserve = Fence::new(pilot.fence.corners(), self.margin_m() + RESERVE_M);
+        let safe = with_reserve.ok().as_ref().and_then(find);
+        judgement.start = safe.or_else(|| find(&pilot.fence));
+        let finding = match (left, judgement.start) {
+            (Some((stand, left)), Some(place)) => Some(self.elsewhere(&left, stand, place)),
+            (Some((stand, left)), None) => Some(self.leaves(&left, Some(stand))),
+            (None, Some(_)) if safe.is_some() => None,
+            (None, Some(_)) => {
+                let value = format!("less than {RESERVE_M} m from the car's path");
+                let fix = "noise and lag of a real car take it out; widen the fence or choose a \
+                           smaller reference";
+                Some(Finding::warning("fence.corners_m", value, fix))
+            }
+            (None, None) => self.too_large().or_else(|| {
+                // The attempt that lasted longest explains best where the fence is too narrow.
+                let longest = candidates()
+                    .map(|start| ends(&pilot.fence, start))
+                    .max_by(|a, b| a.time().total_cmp(&b.time()));
+                longest.map(|left| self.leaves(&left, None))
+            }),
+        };
+        judgement.findings.extend(finding);
     }
-    if safe.is_some() {
-        return;
-    }
-    if judgement.start.is_some() {
-        let value = format!("less than {RESERVE_M} m from the car's path");
-        let fix = "noise and lag of a real car take it out; widen the fence or choose a smaller \
-                   reference";
-        let finding = Finding::warning("fence.corners_m", value, fix);
-        judgement.findings.push(finding);
-        return;
-    }
-    if let Some(finding) = too_large(config, pilot) {
-        judgement.findings.push(finding);
-        return;
-    }
-    // The attempt that lasted longest explains best where the fence is too narrow.
-    let longest = candidates()
-        .map(|start| ends(&pilot.fence, start))
-        .max_by(|a, b| a.time().total_cmp(&b.time()));
-    if let Some(left) = longest {
-        judgement.findings.push(leaves(config, &left, None));
-    }
-}
 
-/// The car can't drive from where it stands, but from another place.
-fn elsewhere(pilot: &PilotConfig, ended: &Ended, stand: Stand, place: Stand) -> Finding {
-    let shorter = match pilot.reference {
-        Reference::Circle(_) => "",
-        _ => ", or drive for a shorter time",
-    };
-    let fix = format!(
-        "from here ({stand}) {}. Carry it to ({:.2}, {:.2}) m, {:.0} degrees{shorter}",
-        ended.how(),
-        place.x_m,
-        place.y_m,
-        place.yaw_rad.to_degrees()
-    );
-    Finding::impossible("reference.start", pilot.start, fix)
-}
-
-fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
-    let from = match stand {
-        Some(stand) => format!("from here ({stand})"),
-        None => "from every start inside it".to_owned(),
-    };
-    let how = ended.how();
-    let (circle, shorter) = match config.reference {
-        ReferenceSection::Circle { .. } => (
-            " (the smallest circle that the car can drive may still be too large)",
-            "",
-        ),
-        _ => ("", ", or for a shorter time"),
-    };
-    let fix = format!(
-        "{from} {how}. Widen the fence, lower fence.margin_m = {} if the car is shorter, move or \
-         shrink the reference{circle}, or drive more slowly{shorter}",
-        config.fence.margin_m(&config.vehicle)
-    );
-    let corners = format!("{:?}", config.fence.corners_m);
-    Finding::impossible("fence.corners_m", corners, fix)
-}
-
-/// A circle that the fence has no room for, however the car comes to it.
-fn too_large(config: &Config, pilot: &PilotConfig) -> Option<Finding> {
-    let ReferenceSection::Circle {
-        radius_m,
-        angular_velocity_rad_s,
-        centre_m: [x, y],
-        ..
-    } = config.reference
-    else {
-        return None;
-    };
-    let circle = SteadyCircle::of(
-        config,
-        &pilot.limits,
-        radius_m,
-        angular_velocity_rad_s.abs(),
-    );
-    let margin = config.fence.margin_m(&config.vehicle);
-    let room = pilot.fence.clearance(&Position::new(x, y));
-    let centre_of_mass = circle.centre_of_mass(config)?;
-    // Where no circle fits, the fence is too small.
-    let most = circle.largest(config, room)?;
-    (centre_of_mass > room).then(|| {
+    /// The car can't drive from where it stands, but from another place.
+    fn elsewhere(&self, ended: &Ended, stand: Stand, place: Stand) -> Finding {
+        let shorter = match self.pilot.reference {
+            Reference::Circle(_) => "",
+            _ => ", or drive for a shorter time",
+        };
         let fix = format!(
-            "the centre of mass drives a circle of {centre_of_mass:.2} m, and fence.corners_m \
-             leaves {room:.2} m around ({x}, {y}) m within fence.margin_m = {margin}; give \
-             {most:.2} or less, move reference.centre_m, or widen the fence"
+            "from here ({stand}) {}. Carry it to ({:.2}, {:.2}) m, {:.0} degrees{shorter}",
+            ended.how(),
+            place.x_m,
+            place.y_m,
+            place.yaw_rad.to_degrees()
         );
-        Finding::impossible("reference.radius_m", radius_m, fix)
-    })
+        Finding::impossible("reference.start", self.pilot.start, fix)
+    }
+
+    fn leaves(&self, ended: &Ended, stand: Option<Stand>) -> Finding {
+        let from = match stand {
+            Some(stand) => format!("from here ({stand})"),
+            None => "from every start inside it".to_owned(),
+        };
+        let (circle, shorter) = match self.config.reference {
+            ReferenceSection::Circle { .. } => (
+                " (the smallest circle that the car can drive may still be too large)",
+                "",
+            ),
+            _ => ("", ", or for a shorter time"),
+        };
+        let fix = format!(
+            "{from} {}. Widen the fence, lower fence.margin_m = {} if the car is shorter, move or \
+             shrink the reference{circle}, or drive more slowly{shorter}",
+            ended.how(),
+            self.margin_m()
+        );
+        let corners = format!("{:?}", self.config.fence.corners_m);
+        Finding::impossible("fence.corners_m", corners, fix)
+    }
+
+    /// A circle that the fence has no room for, however the car comes to it.
+    fn too_large(&self) -> Option<Finding> {
+        let ReferenceSection::Circle {
+            centre_m: [x, y], ..
+        } = self.config.reference
+        else {
+            return None;
+        };
+        let (circle, radius_m) = self.circle(None)?;
+        let room = self.pilot.fence.clearance(&Position::new(x, y));
+        let centre_of_mass = circle.centre_of_mass()?;
+        // Where no circle fits, the fence is too small.
+        let most = circle.largest(room)?;
+        (centre_of_mass > room).then(|| {
+            let fix = format!(
+                "the centre of mass drives a circle of {centre_of_mass:.2} m, and fence.corners_m \
+                 leaves {room:.2} m around ({x}, {y}) m within fence.margin_m = {}; give {most:.2} \
+                 or less, move reference.centre_m, or widen the fence",
+                self.margin_m()
+            );
+            Finding::impossible("reference.radius_m", radius_m, fix)
+        })
+    }
+
+    /// Stands with P at the start of the reference or a little behind it, looking along it.
+    fn starts_on(&self, reference: &Reference) -> impl Iterator<Item = Stand> + use<> {
+        let heading = heading(reference);
+        // Without a position the car may start anywhere.
+        let first = reference.at(0.0).position.unwrap_or_default();
+        let law = &self.pilot.law;
+        let ahead = self.config.vehicle.front_axle_distance_m + law.point_distance();
+        let turns = [0.0, -0.25, 0.25, -0.5, 0.5, -0.75, 0.75];
+        turns.into_iter().flat_map(move |turn| {
+            [0.0, 0.15, 0.3].into_iter().map(move |behind| {
+                let yaw = heading + turn;
+                let centre = first - (ahead + behind) * direction(yaw);
+                Stand {
+                    x_m: centre.x,
+                    y_m: centre.y,
+                    yaw_rad: wrap(yaw),
+                }
+            })
+        })
+    }
 }
 
 /// The reference of a drive from there.
@@ -543,30 +549,6 @@ fn begun(pilot: &PilotConfig, stand: Stand) -> Reference {
     let mut reference = pilot.reference.clone();
     reference.begin(pilot.start, &point, stand.yaw_rad);
     reference
-}
-
-/// Stands with P at the start of the reference or a little behind it, looking along it.
-fn starts_on(
-    reference: &Reference,
-    pilot: &PilotConfig,
-    vehicle: &VehicleParameters,
-) -> impl Iterator<Item = Stand> + use<> {
-    let heading = heading(reference);
-    // Without a position the car may start anywhere.
-    let first = reference.at(0.0).position.unwrap_or_default();
-    let ahead = vehicle.front_axle_distance_m + pilot.law.point_distance();
-    let turns = [0.0, -0.25, 0.25, -0.5, 0.5, -0.75, 0.75];
-    turns.into_iter().flat_map(move |turn| {
-        [0.0, 0.15, 0.3].into_iter().map(move |behind| {
-            let yaw = heading + turn;
-            let centre = first - (ahead + behind) * direction(yaw);
-            Stand {
-                x_m: centre.x,
-                y_m: centre.y,
-                yaw_rad: wrap(yaw),
-            }
-        })
-    })
 }
 
 /// The direction in which the reference begins, rad.
