@@ -313,12 +313,10 @@ pub fn has_null(value: &Value) -> bool {
 /// what they don't mean. None if it is no request even so.
 fn without_nulls(line: &[u8]) -> Option<Line<Request>> {
     let keys: Map<String, Value> = serde_json::from_slice(line).ok()?;
-    let given: Map<_, _> = keys
-        .iter()
-        .filter(|(_, value)| !value.is_null())
-        .map(|(key, value)| (key.clone(), value.clone()))
-        .collect();
-    if given.len() == keys.len() {
+    let count = keys.len();
+    let given = keys.into_iter().filter(|(_, value)| !value.is_null());
+    let given: Map<_, _> = given.collect();
+    if given.len() == count {
         return None;
     }
     serde_json::from_value(given.into()).ok()

@@ -1,9 +1,6 @@
 //! `singletrackd --check`: judges a configuration without driving.
 
-use std::{
-    path::{Path, PathBuf},
-    process::ExitCode,
-};
+use std::{path::Path, process::ExitCode};
 
 use rustix::fs::{Access, access};
 use singletrack_core::{
@@ -92,19 +89,14 @@ fn directories(config: &Config) -> Vec<Finding> {
 /// Why files can't be made in `folder`, which the daemon creates if necessary.
 fn unwritable(folder: &Path) -> Option<String> {
     let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
-    let existing: PathBuf = absolute
-        .ancestors()
-        .find(|ancestor| ancestor.symlink_metadata().is_ok())?
-        .to_owned();
+    let mut ancestors = absolute.ancestors();
+    let existing = ancestors.find(|ancestor| ancestor.symlink_metadata().is_ok())?;
     if !existing.is_dir() {
         return Some(format!("{} is no folder", existing.display()));
     }
-    access(&existing, Access::WRITE_OK | Access::EXEC_OK)
-        .err()
-        .map(|error| {
-            let error = std::io::Error::from(error);
-            format!("{}: {error}", existing.display())
-        })
+    let refused = access(existing, Access::WRITE_OK | Access::EXEC_OK).err()?;
+    let error = std::io::Error::from(refused);
+    Some(format!("{}: {error}", existing.display()))
 }
 
 #[cfg(test)]

@@ -72,16 +72,14 @@ pub(crate) fn log_summary(summary: &Summary) {
     if figures.dropped != Dropped::default() {
         warn!("dropped for want of room: {}", json!(figures.dropped));
     }
+    let record = summary.record.as_ref();
     info!(
         ticks = figures.ticks,
         driving_ticks = figures.driving_ticks,
         deadline_misses = figures.deadline_misses,
         lateness_p99_us = figures.lateness_us.p99,
         lateness_max_us = figures.lateness_us.max,
-        record = summary
-            .record
-            .as_ref()
-            .map(|path| path.display().to_string()),
+        record = record.map(|path| path.display().to_string()),
         "singletrackd ends"
     );
 }

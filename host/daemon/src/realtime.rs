@@ -47,10 +47,8 @@ pub(crate) fn bound_idle() -> Result<File, String> {
              it, as the shipped udev rule does"
         )
     };
-    let mut file = OpenOptions::new()
-        .write(true)
-        .open(LATENCY_FILE)
-        .map_err(refusal)?;
+    let file = OpenOptions::new().write(true).open(LATENCY_FILE);
+    let mut file = file.map_err(refusal)?;
     file.write_all(&0_i32.to_ne_bytes()).map_err(refusal)?;
     Ok(file)
 }

@@ -116,13 +116,11 @@ fn rest_is_assignment(rest: &str, marked: &str) -> bool {
 }
 
 /// The table that a line opens.
-fn header(line: &str) -> Option<&str> {
+fn header<'a>(line: &'a str) -> Option<&'a str> {
     let line = line.split('#').next().unwrap_or_default().trim();
     let name = line.strip_prefix('[')?.strip_suffix(']')?.trim();
-    let name = name
-        .strip_prefix('[')
-        .and_then(|name| name.strip_suffix(']'))
-        .unwrap_or(name);
+    let of_list = |name: &'a str| name.strip_prefix('[')?.strip_suffix(']');
+    let name = of_list(name).unwrap_or(name);
     // The last line of a list of numbers looks similar.
     (is_key(name) && name.starts_with(|c: char| c.is_ascii_alphabetic())).then_some(name)
 }

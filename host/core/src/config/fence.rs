@@ -63,11 +63,8 @@ impl FenceSection {
     ///
     /// A polygon without area, or whose sides cross.
     pub fn fence(&self, vehicle: &VehicleParameters) -> Result<Fence, ConfigError> {
-        let corners: Vec<_> = self
-            .corners_m
-            .iter()
-            .map(|&[x, y]| Position::new(x, y))
-            .collect();
+        let corners = self.corners_m.iter().copied().map(Position::from);
+        let corners: Vec<_> = corners.collect();
         Ok(Fence::new(&corners, self.margin_m(vehicle))?)
     }
 

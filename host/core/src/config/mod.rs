@@ -157,21 +157,8 @@ impl Config {
         let shown = path.display();
         let text = reference::read_text(path)
             .map_err(|error| ConfigError::Text(format!("can't read {shown}: {error}")))?;
-        let refused = |why: &dyn fmt::Display| ConfigError::Text(format!("{shown}: {why}"));
-        let mut config: Self =
-            toml::from_str(&text).map_err(|error| refused(&explain(&text, &error)))?;
-        if let Some(folder) = path.parent() {
-            config.reference.resolve(folder);
-            if let Some(references) = &mut config.socket.reference_folder {
-                *references = folder.join(&references);
-            }
-            if let Some(certificate) = &mut config.safety_filter.certificate {
-                *certificate = folder.join(&certificate);
-            }
-        }
-        config.fence.resolve(&config.vehicle);
-        config.validate().map_err(|error| refused(&error))?;
-        Ok(config)
+        Self::parse(&text, path.parent())
+            .map_err(|error| ConfigError::Text(format!("{shown}: {error}")))
     }
 
     /// Reads and checks a text. A relative path starts at the working directory.
@@ -180,8 +167,22 @@ impl Config {
     ///
     /// The file can't be read, is not valid TOML, or has an invalid key or value.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
+        Self::parse(text, None)
+    }
+
+    /// Reads and checks a text whose relative paths start at this folder.
+    fn parse(text: &str, folder: Option<&Path>) -> Result<Self, ConfigError> {
         let mut config: Self =
             toml::from_str(text).map_err(|error| ConfigError::Text(explain(text, &error)))?;
+        if let Some(folder) = folder {
+            config.reference.resolve(folder);
+            if let Some(references) = &mut config.socket.reference_folder {
+                *references = folder.join(&references);
+            }
+            if let Some(certificate) = &mut config.safety_filter.certificate {
+                *certificate = folder.join(&certificate);
+            }
+        }
         config.fence.resolve(&config.vehicle);
         config.validate()?;
         Ok(config)
@@ -250,10 +251,8 @@ impl Config {
     /// The law, the loop or the reference is invalid.
     pub fn pilot(&self) -> Result<PilotConfig, ConfigError> {
         let reference = self.reference.reference()?;
-        let limits = self
-            .limits
-            .limits(self.vehicle.wheelbase_m())
-            .with_tyres(&self.vehicle);
+        let limits = self.limits.limits(self.vehicle.wheelbase_m());
+        let limits = limits.with_tyres(&self.vehicle);
         let fence = self.fence.fence(&self.vehicle)?;
         let period = seconds(self.control.period_ms);
         let tracking = self.outer_loop.tracking_loop(&LoopModel {

@@ -201,12 +201,14 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
         let written = Written::of(&keys)?;
         let angular_velocity_rad_s =
             || written.need("angular_velocity_rad_s", keys.angular_velocity_rad_s);
+        let centre_m = keys.centre_m.unwrap_or_default();
+        let start = keys.start.unwrap_or(Start::Nearest);
         let reference = match keys.kind {
             ReferenceKind::Circle => Self::Circle {
                 radius_m: written.need("radius_m", keys.radius_m)?,
                 angular_velocity_rad_s: angular_velocity_rad_s()?,
-                centre_m: keys.centre_m.unwrap_or_default(),
-                start: keys.start.unwrap_or(Start::Nearest),
+                centre_m,
+                start,
             },
             ReferenceKind::VelocitySteps => Self::VelocitySteps {
                 steps: written.need("steps", keys.steps)?,
@@ -215,8 +217,8 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
                 half_length_m: written.need("half_length_m", keys.half_length_m)?,
                 half_width_m: written.need("half_width_m", keys.half_width_m)?,
                 angular_velocity_rad_s: angular_velocity_rad_s()?,
-                centre_m: keys.centre_m.unwrap_or_default(),
-                start: keys.start.unwrap_or(Start::Nearest),
+                centre_m,
+                start,
             },
             ReferenceKind::Waypoints => match keys.waypoints {
                 Some(waypoints) => Self::WaypointList { waypoints },
@@ -227,22 +229,18 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
             ReferenceKind::Path => {
                 let speed_m_s = written.need("speed_m_s", keys.speed_m_s)?;
                 let closed = keys.closed.unwrap_or_default();
-                let start = match (closed, keys.start) {
-                    (true, start) => start.unwrap_or(Start::Nearest),
-                    (false, Some(Start::Nearest)) => {
-                        return Err("reference.start is nearest: an open path begins at its \
-                                    beginning; remove the key, or set closed = true"
-                            .to_owned());
-                    }
-                    (false, _) => Start::Beginning,
-                };
+                if !closed && keys.start == Some(Start::Nearest) {
+                    return Err("reference.start is nearest: an open path begins at its \
+                                beginning; remove the key, or set closed = true"
+                        .to_owned());
+                }
                 Self::Path {
                     points: match keys.points {
                         Some(points) => PathPoints::Points(points),
                         None => PathPoints::File(written.need("file", keys.file)?),
                     },
                     closed,
-                    start,
+                    start: if closed { start } else { Start::Beginning },
                     speed_m_s,
                     lateral_acceleration_m_s2: keys
                         .lateral_acceleration_m_s2
@@ -331,45 +329,38 @@ impl ReferenceSection {
             Self::Circle {
                 radius_m,
                 angular_velocity_rad_s,
-                centre_m: [x, y],
+                centre_m,
                 ..
-            } => Reference::Circle(Circle::new(
-                Position::new(*x, *y),
-                *radius_m,
-                *angular_velocity_rad_s,
-            )?),
+            } => {
+                let centre = Position::from(*centre_m);
+                Reference::Circle(Circle::new(centre, *radius_m, *angular_velocity_rad_s)?)
+            }
             Self::VelocitySteps { steps } => {
-                let steps: Vec<_> = steps
-                    .iter()
-                    .map(|step| VelocityStep {
-                        duration: step.duration_s,
-                        velocity: Velocity::new(step.v_x_m_s, step.v_y_m_s),
-                    })
-                    .collect();
-                Reference::VelocitySteps(VelocitySteps::new(&steps)?)
+                let steps = steps.iter().map(|step| VelocityStep {
+                    duration: step.duration_s,
+                    velocity: Velocity::new(step.v_x_m_s, step.v_y_m_s),
+                });
+                Reference::VelocitySteps(VelocitySteps::new(&steps.collect::<Vec<_>>())?)
             }
             Self::FigureOfEight {
                 half_length_m,
                 half_width_m,
                 angular_velocity_rad_s,
-                centre_m: [x, y],
+                centre_m,
                 ..
             } => Reference::FigureOfEight(FigureOfEight::new(
-                Position::new(*x, *y),
+                Position::from(*centre_m),
                 *half_length_m,
                 *half_width_m,
                 *angular_velocity_rad_s,
             )?),
             Self::Waypoints { file } => Reference::Waypoints(waypoints_of(file)?),
             Self::WaypointList { waypoints } => {
-                let waypoints: Vec<_> = waypoints
-                    .iter()
-                    .map(|waypoint| Waypoint {
-                        time: waypoint.t_s,
-                        position: Position::new(waypoint.x_m, waypoint.y_m),
-                    })
-                    .collect();
-                Reference::Waypoints(Waypoints::new(&waypoints)?)
+                let waypoints = waypoints.iter().map(|waypoint| Waypoint {
+                    time: waypoint.t_s,
+                    position: Position::new(waypoint.x_m, waypoint.y_m),
+                });
+                Reference::Waypoints(Waypoints::new(&waypoints.collect::<Vec<_>>())?)
             }
             Self::Path {
                 points,
@@ -379,11 +370,8 @@ impl ReferenceSection {
                 acceleration_m_s2,
                 ..
             } => {
-                let points: Vec<_> = points
-                    .read()?
-                    .iter()
-                    .map(|[x, y]| Position::new(*x, *y))
-                    .collect();
+                let points = points.read()?;
+                let points: Vec<_> = points.iter().copied().map(Position::from).collect();
                 let limits = PathSpeed {
                     speed: *speed_m_s,
                     lateral_acceleration: *lateral_acceleration_m_s2,

@@ -154,11 +154,9 @@ impl Config {
                     distance.unwrap_or(self.law.point_distance_m),
                 );
                 config.tuning = TuningSection::default();
-                let place: Vec<String> = distance
-                    .map(|distance| format!("p at {distance} m"))
-                    .into_iter()
-                    .chain(gain.map(|gain| format!("gains of {gain}/s")))
-                    .collect();
+                let p = distance.map(|distance| format!("p at {distance} m"));
+                let gains = gain.map(|gain| format!("gains of {gain}/s"));
+                let place: Vec<String> = p.into_iter().chain(gains).collect();
                 let (key, bounds) = match (tuning.point_distance_m, tuning.gain_per_s) {
                     (Some(bounds), _) => (DISTANCE, bounds),
                     (None, bounds) => (GAIN, bounds.unwrap_or_default()),

@@ -256,12 +256,8 @@ impl CameraWatch {
             Binding::Bound { .. } => {}
         }
         let is_seen = grew(|counters| counters.valid + counters.rejected.total());
-        if is_seen
-            && session
-                .tracker()
-                .level
-                .is_some_and(|level| level.suggests_other_axis())
-        {
+        let level = session.tracker().level.filter(|_| is_seen);
+        if level.is_some_and(|level| level.suggests_other_axis()) {
             return Cause::UpAxis;
         }
         if grew(|counters| counters.valid) {
@@ -293,17 +289,6 @@ impl CameraWatch {
             _ if age_ns >= period_ns => Cause::LatePoses,
             _ => Cause::LowRate,
         }
-    }
-}
-
-impl Measured {
-    /// Such as "poses come at 20 Hz and are 8 ms old then".
-    fn text(&self) -> String {
-        let age_ms = self.age_ns.unwrap_or_default() as f64 * 1e-6;
-        format!(
-            "poses come at {:.0} Hz and are {age_ms:.0} ms old then",
-            self.rate_hz.unwrap_or_default()
-        )
     }
 }
 
@@ -408,16 +393,20 @@ fn describe(cause: Cause, session: &PlanarSession, measured: &Measured) -> Strin
                  that of another computer); see timing.stamp_offset_ms"
             )
         }
-        Cause::LatePoses => format!(
-            "{}: arming wants at most supervisor.fresh_ms with the pause to the next one; lower the \
-             latency of cameras, their program and network",
-            measured.text()
-        ),
-        Cause::LowRate => format!(
-            "{}: arming wants at most supervisor.fresh_ms with the pause to the next one; raise the \
-             cameras' frame rate (100 Hz is best), and look whether frames get lost",
-            measured.text()
-        ),
+        Cause::LatePoses | Cause::LowRate => {
+            let age_ms = measured.age_ns.unwrap_or_default() as f64 * 1e-6;
+            let advice = match cause {
+                Cause::LatePoses => "lower the latency of cameras, their program and network",
+                _ => {
+                    "raise the cameras' frame rate (100 Hz is best), and look whether frames get lost"
+                }
+            };
+            format!(
+                "poses come at {:.0} Hz and are {age_ms:.0} ms old then: arming wants at most \
+                 supervisor.fresh_ms with the pause to the next one; {advice}",
+                measured.rate_hz.unwrap_or_default()
+            )
+        }
         Cause::UnreadableNames(error) => format!(
             "the server's list of rigid bodies can't be read: {error}; remove the asset that it is \
              about, or set motion_capture.bitstream"

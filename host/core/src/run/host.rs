@@ -125,10 +125,8 @@ impl<L: Line> Host<L> {
         let (returned, returned_out) = RingBuffer::new(LINES);
         let (observations_in, observations) = RingBuffer::new(OBSERVATIONS);
         let (neighbours_in, neighbours) = RingBuffer::new(NEIGHBOURS);
-        let feed = config
-            .neighbours
-            .enabled
-            .then(|| NeighbourFeed::new(&config.neighbours, neighbours_in));
+        let others = &config.neighbours;
+        let feed = (others.enabled).then(|| NeighbourFeed::new(others, neighbours_in));
         let (requests_in, requests) = RingBuffer::new(REQUESTS);
         let (setpoints_in, setpoints) = setpoint_slot();
         let (jogs_in, jogs) = slot();

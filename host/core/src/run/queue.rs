@@ -71,18 +71,17 @@ impl Queue {
     /// Adds a tuning to the last one, unless the configuration has changed in between; false if
     /// there is none.
     fn joins_last(&mut self, tuning: Tuning) -> bool {
-        let last = self
-            .events
-            .iter_mut()
-            .rev()
-            .take_while(|other| !matches!(other, Event::Reconfigured(_)))
-            .find_map(|other| match other {
-                Event::Tuning(last) => Some(last),
-                _ => None,
-            });
-        let Some(last) = last else { return false };
-        *last = tuning.or(*last);
-        true
+        for other in self.events.iter_mut().rev() {
+            match other {
+                Event::Reconfigured(_) => return false,
+                Event::Tuning(last) => {
+                    *last = tuning.or(*last);
+                    return true;
+                }
+                _ => {}
+            }
+        }
+        false
     }
 
     /// Removes an equal state of the link if it is the last one: the later event counts.
@@ -113,19 +112,16 @@ impl Queue {
     /// change of link or configuration is not replaced: the change may have invalidated it.
     fn take_place_of_last(&mut self, event: Event) -> bool {
         let kind = core::mem::discriminant(&event);
-        let place = self
-            .events
-            .iter_mut()
-            .rev()
-            .take_while(|other| !matches!(other, Event::Link(_) | Event::Reconfigured(_)))
-            .find(|other| core::mem::discriminant(&**other) == kind);
-        match place {
-            Some(place) => {
-                *place = event;
-                true
+        for other in self.events.iter_mut().rev() {
+            if matches!(other, Event::Link(_) | Event::Reconfigured(_)) {
+                return false;
             }
-            None => false,
+            if core::mem::discriminant(other) == kind {
+                *other = event;
+                return true;
+            }
         }
+        false
     }
 
     /// Translates an event of the link for the pilot.

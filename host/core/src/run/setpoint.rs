@@ -97,14 +97,11 @@ fn command(keys: Setpoint, stamp: SetpointStamp) -> Result<SetpointCommand, Refu
             return Ok(SetpointCommand::Trajectory(Box::new(trajectory)));
         }
         (true, false, None) => Demand::Point(ReferencePoint {
-            position: keys.position_m.map(|[x, y]| Position::new(x, y)),
-            velocity: keys
-                .velocity_m_s
-                .map(|[x, y]| Velocity::new(x, y))
-                .ok_or_else(|| {
-                    let text = "position_m needs velocity_m_s, such as [0.0,0.0]";
-                    Refused::new(Code::Invalid, text)
-                })?,
+            position: keys.position_m.map(Position::from),
+            velocity: keys.velocity_m_s.map(Velocity::from).ok_or_else(|| {
+                let text = "position_m needs velocity_m_s, such as [0.0,0.0]";
+                Refused::new(Code::Invalid, text)
+            })?,
         }),
         (false, true, None) => Demand::Actuation {
             steering: match (keys.steering_rad, keys.steering_rate_rad_s) {
@@ -134,11 +131,10 @@ fn command(keys: Setpoint, stamp: SetpointStamp) -> Result<SetpointCommand, Refu
     Ok(SetpointCommand::Setpoint(setpoint))
 }
 
-const fn point(point: &singletrack_api::TrajectoryPoint) -> TrajectoryPoint {
-    let ([x, y], [v_x, v_y]) = (point.position_m, point.velocity_m_s);
+fn point(point: &singletrack_api::TrajectoryPoint) -> TrajectoryPoint {
     TrajectoryPoint {
         time: Time(point.time_ns),
-        position: Position::new(x, y),
-        velocity: Velocity::new(v_x, v_y),
+        position: Position::from(point.position_m),
+        velocity: Velocity::from(point.velocity_m_s),
     }
 }

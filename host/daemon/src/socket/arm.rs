@@ -231,11 +231,9 @@ fn infeasibility(
         Ok(judgement) => judgement.findings,
         Err(error) => return Some(error.to_string()),
     };
-    let reasons: Vec<String> = findings
-        .iter()
-        .filter(|finding| finding.severity == Severity::Impossible)
-        .map(ToString::to_string)
-        .collect();
+    let impossible = |finding: &&Finding| finding.severity == Severity::Impossible;
+    let reasons = findings.iter().filter(impossible);
+    let reasons: Vec<String> = reasons.map(ToString::to_string).collect();
     Some(reasons.join("; "))
 }
 

@@ -61,12 +61,10 @@ impl Diagnostics {
             }
             Entry::Pose(_) | Entry::Log(_) | Entry::Configuration(_) => return Ok(()),
         }
+        let known = [self.pilot(), self.board(), Some(self.record())];
         let message = DiagnosticArray {
             header: batch.header(entry.time_ns(), ""),
-            status: [self.pilot(), self.board(), Some(self.record())]
-                .into_iter()
-                .flatten()
-                .collect(),
+            status: known.into_iter().flatten().collect(),
         };
         batch.add(StandardTopic::Diagnostics, entry.time_ns(), &message)
     }

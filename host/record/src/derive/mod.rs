@@ -276,10 +276,8 @@ fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), Str
     let Some(time_ns) = record.new_imu_time_ns() else {
         return Ok(());
     };
-    let [w, x, y, z] = record
-        .telemetry
-        .attitude_q14
-        .map(|part| f64::from(part) * Q14);
+    let attitude = record.telemetry.attitude_q14;
+    let [w, x, y, z] = attitude.map(|part| f64::from(part) * Q14);
     let message = Imu {
         header: batch.header(time_ns, BASE_FRAME),
         orientation: Quaternion { x, y, z, w },

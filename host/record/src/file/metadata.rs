@@ -69,6 +69,11 @@ impl Meta {
     ) -> Result<Self, RecordError> {
         let number = |key| number(path, metadata, key);
         let protocol_version = number("protocol_version")?;
+        let software = metadata.metadata.iter().filter_map(|(key, version)| {
+            let component = key.strip_prefix(SOFTWARE_PREFIX)?;
+            Some((component.to_owned(), version.clone()))
+        });
+        let seed = metadata.metadata.get("seed").map(|_| number("seed"));
         Ok(Self {
             configuration: std::str::from_utf8(configuration)
                 .map_err(|_| {
@@ -76,22 +81,12 @@ impl Meta {
                     unusable(path, CONFIGURATION_NAME, &value, "UTF-8")
                 })?
                 .to_owned(),
-            software: metadata
-                .metadata
-                .iter()
-                .filter_map(|(key, version)| {
-                    let component = key.strip_prefix(SOFTWARE_PREFIX)?;
-                    Some((component.to_owned(), version.clone()))
-                })
-                .collect(),
+            software: software.collect(),
             protocol_version: u16::try_from(protocol_version).map_err(|_| {
                 let value = protocol_version.to_string();
                 unusable(path, "protocol_version", &value, "a number up to 65535")
             })?,
-            seed: match metadata.metadata.get("seed") {
-                Some(_) => Some(number("seed")?),
-                None => None,
-            },
+            seed: seed.transpose()?,
             start: ClockMapping {
                 monotonic_ns: number("start_monotonic_ns")?,
                 wall_ns: number("start_wall_ns")?,

@@ -250,10 +250,8 @@ impl Car {
             yaw_rate: before.speed * curvature,
             sideslip,
         };
-        let point = self
-            .law
-            .law()
-            .point(self.position, self.yaw, before.steering);
+        let law = self.law.law();
+        let point = law.point(self.position, self.yaw, before.steering);
         self.path = match &mut self.governor {
             Some(governor) => governor.advance(self.clock, &self.reference, &point),
             None => self.clock,
@@ -269,12 +267,10 @@ impl Car {
             applied: self.applied,
             period: self.period,
         });
+        // A governed reference waits, and the car for it.
+        let waits = self.governor.is_some();
         let ahead = Ahead {
-            // A governed reference waits, and the car for it.
-            overtaken: self
-                .governor
-                .as_ref()
-                .and_then(|_| reference.overtaken_by(&point)),
+            overtaken: reference.overtaken_by(&point).filter(|_| waits),
             lead: None,
         };
         self.law

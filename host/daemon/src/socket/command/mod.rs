@@ -190,18 +190,17 @@ impl Command {
                 })?,
             },
             Request::Watch { topics } if topics == ["state"] => Self::WatchState,
-            Request::Watch { topics } => Self::Watch {
-                topics: topics
-                    .iter()
-                    .map(|topic| Topic::from_str(topic).map_err(|error| error.to_string()))
-                    .collect::<Result<_, _>>()?,
-            },
-            Request::Messages { topics } => Self::Messages {
-                channels: topics
-                    .iter()
-                    .map(|topic| channel(topic))
-                    .collect::<Result<_, _>>()?,
-            },
+            Request::Watch { topics } => {
+                let known = |name: &String| Topic::from_str(name).map_err(|it| it.to_string());
+                let topics: Result<_, _> = topics.iter().map(known).collect();
+                Self::Watch { topics: topics? }
+            }
+            Request::Messages { topics } => {
+                let channels: Result<_, _> = topics.iter().map(|name| channel(name)).collect();
+                Self::Messages {
+                    channels: channels?,
+                }
+            }
         })
     }
 }
