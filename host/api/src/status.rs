@@ -140,10 +140,11 @@ impl Cameras {
 
 impl fmt::Display for Cameras {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            diagnosis, text, ..
-        } = self;
-        write!(formatter, "motion capture: {diagnosis}: {text}")?;
+        write!(
+            formatter,
+            "motion capture: {}: {}",
+            self.diagnosis, self.text
+        )?;
         match &self.neighbour {
             Some(neighbour) if self.is_trouble() => write!(formatter, "; {neighbour}"),
             _ => Ok(()),

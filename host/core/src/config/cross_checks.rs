@@ -2,7 +2,7 @@
 
 use singletrack_control::GRAVITY;
 
-use singletrack_pilot::{REST, SupervisorConfig};
+use singletrack_pilot::REST;
 use singletrack_settings::seconds;
 
 use super::{Config, ConfigError, ReferenceSection, refuse_if};
@@ -13,13 +13,8 @@ const LINE_MS: u32 = 30;
 
 /// Refuses values that contradict each other. Host and board must agree on what the car does.
 pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
-    let Config {
-        limits,
-        board,
-        control,
-        watch,
-        ..
-    } = config;
+    let (limits, board) = (&config.limits, &config.board);
+    let (control, watch) = (&config.control, &config.watch);
     let obeyed = |mm_s: u16, key: &str| {
         let fastest = f64::from(mm_s) / 1_000.0;
         let fix = format!("the board obeys at most {fastest} m/s; lower it, or raise {key}");
@@ -172,12 +167,8 @@ pub(super) fn fastest_stopped(config: &Config) -> f64 {
 fn longest_blind_drive(config: &Config, max_speed: f64) -> f64 {
     let period = seconds(config.control.period_ms);
     let deceleration = config.control.stop_deceleration_m_s2;
-    let SupervisorConfig {
-        hold,
-        hold_distance,
-        blind,
-        ..
-    } = config.supervisor.config();
+    let supervisor = config.supervisor.config();
+    let (hold, hold_distance) = (supervisor.hold, supervisor.hold_distance);
     // At a speed v the pose is held for min(hold, distance/v), then the speed ramps down for
     // v/deceleration. That has its highest value where the two budgets meet, or at the highest
     // speed.
@@ -187,7 +178,7 @@ fn longest_blind_drive(config: &Config, max_speed: f64) -> f64 {
         .into_iter()
         .fold(0.0, f64::max);
     // A car that has slowed down to a stop waits for this long.
-    let stops = ramp_ends.max(blind + period);
+    let stops = ramp_ends.max(supervisor.blind + period);
     stops + period + (REST / period - 1e-9).ceil() * period
 }
 

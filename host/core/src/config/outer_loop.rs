@@ -356,37 +356,31 @@ pub struct LoopModel<'a> {
 
 impl LoopModel<'_> {
     fn lqi(&self, weights: &LqiWeights) -> Result<LqiLoop, ConfigError> {
-        let LqiWeights {
-            integral_weight,
-            error_weight,
-            velocity_weight,
-            integral_limit_m_s,
-        } = *weights;
         let axis = |lag| LqiAxis {
             lag,
-            integral_weight,
-            error_weight,
-            velocity_weight,
+            integral_weight: weights.integral_weight,
+            error_weight: weights.error_weight,
+            velocity_weight: weights.velocity_weight,
         };
         let lag = |of: fn(&ActuatorModel) -> f64| self.actuators.as_ref().map_or(0.0, of);
         LqiLoop::new(LqiConfig {
             along: axis(lag(|model| model.speed_dead_time + model.speed_lag)),
             across: axis(lag(|model| model.steering_dead_time + model.steering_lag)),
-            integral_limit: integral_limit_m_s,
+            integral_limit: weights.integral_limit_m_s,
             turn_rate: self.turn_rate(),
             period: self.period,
         })
         .map_err(|error| match error {
             LqiError::Turns(rate) => ConfigError::value(
                 "outer_loop.velocity_weight",
-                velocity_weight,
+                weights.velocity_weight,
                 format!(
                     "the loop does not settle while the reference turns by {rate:.2} rad/s with \
                      the lags of [actuators]; lower it, set compensation.actuation = true, or \
                      drive slower"
                 ),
             ),
-            error => far_apart(error, error_weight),
+            error => far_apart(error, weights.error_weight),
         })
     }
 
@@ -435,16 +429,10 @@ impl LoopModel<'_> {
     /// The fastest turn that the reference's frame has to stand, rad/s: that of the reference,
     /// and not more than the car's.
     fn turn_rate(&self) -> f64 {
-        let Limits {
-            max_speed,
-            max_lateral_acceleration,
-            max_steering,
-            wheelbase,
-            ..
-        } = *self.limits;
+        let limits = self.limits;
         // Slower, the steering angle limits the turn, and faster, the lateral acceleration.
-        let curvature = tan(max_steering) / wheelbase;
-        let fastest = sqrt(max_lateral_acceleration / curvature).min(max_speed);
+        let curvature = tan(limits.max_steering) / limits.wheelbase;
+        let fastest = sqrt(limits.max_lateral_acceleration / curvature).min(limits.max_speed);
         (curvature * fastest).min(turn_rate(self.reference))
     }
 }

@@ -153,10 +153,8 @@ fn proved(config: &Config) -> Result<Value, ConfigError> {
     let is_off = !config.safety_filter.enabled;
     let fix = "a certificate is one of the safety filter; set it to true";
     refuse_if(is_off, "safety_filter.enabled", false, fix)?;
-    let (key, reverse) = (
-        "limits.max_reverse_speed_m_s",
-        config.limits.max_reverse_speed_m_s,
-    );
+    let key = "limits.max_reverse_speed_m_s";
+    let reverse = config.limits.max_reverse_speed_m_s;
     let fix = "a certificate is about stops of a car that goes forward; set it to 0, or leave \
                safety_filter.certificate out";
     refuse_if(reverse > 0.0, key, reverse, fix)?;

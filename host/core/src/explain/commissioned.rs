@@ -161,10 +161,7 @@ impl Commissioned {
         subject: Subject,
         time_s: u64,
     ) {
-        let Subject {
-            configuration,
-            car_id,
-        } = subject;
+        let (configuration, car_id) = (subject.configuration, subject.car_id);
         let is_same = |other: &Beginning| other.procedure == procedure && other.car_id == car_id;
         let begun = self.begun.iter().copied().find(is_same);
         match result {

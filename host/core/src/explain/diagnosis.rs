@@ -9,7 +9,7 @@ use singletrack_api::Cameras;
 use singletrack_mocap::{
     Binding, Phase, Protocol, RejectReason, SessionEvent, Transport, UpAxis,
     codec::DecodeError,
-    planar::{NEAR_M, PlanarConfig, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
+    planar::{NEAR_M, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
 };
 
 /// The cause by itself.
@@ -304,11 +304,7 @@ pub(crate) fn neighbour(session: &PlanarSession) -> Option<String> {
 }
 
 fn describe(cause: Cause, session: &PlanarSession, measured: &Measured) -> String {
-    let PlanarConfig {
-        session: config,
-        rigid_body,
-        ..
-    } = session.config();
+    let (config, rigid_body) = (&session.config().session, &session.config().rigid_body);
     let server = config.server;
     match cause {
         Cause::Starting if config.protocol == Protocol::Qualisys => {

@@ -111,46 +111,42 @@ impl Why {
 
     /// What this word of the host means, with what the status says of board and cameras.
     pub fn explain(word: &str, status: &Status) -> Self {
-        let Self {
-            mut text,
-            mut advice,
-        } = Self::of_word("host", word);
+        let mut why = Self::of_word("host", word);
         if word == Reason::BoardFailsafe.name()
             && let Some(board) = &status.board
         {
             if board.stop_cause == StopCause::None.name() {
-                text += "; it has been reset since, and no longer knows why";
-                advice = Some(
-                    "Look at the stops in the record: singletrack dump RECORD --stats.".into(),
-                );
+                why.text += "; it has been reset since, and no longer knows why";
+                let advice = "Look at the stops in the record: singletrack dump RECORD --stats.";
+                why.advice = Some(advice.to_owned());
             } else {
                 let stop = Self::of_word("board stop", &board.stop_cause);
-                text += &format!(": {}", stop.text);
-                advice = stop.advice;
+                why.text += &format!(": {}", stop.text);
+                why.advice = stop.advice;
             }
         }
         if word == Reason::LinkDown.name()
             && let Some(error) = &status.serial_error
         {
-            advice = Some(sentence(error));
+            why.advice = Some(sentence(error));
         }
         if word == Reason::OutsideFence.name()
             && let Some(state) = &status.state
             && let (Some(x), Some(y)) = (state.x_m, state.y_m)
         {
-            text += &format!("; its centre of mass is at ({x:.2}, {y:.2}) m");
+            why.text += &format!("; its centre of mass is at ({x:.2}, {y:.2}) m");
         }
         if matches!(word, "no-pose" | "pose-too-old" | "pose-implausible") {
             let cameras = &status.cameras;
             // The daemon knows better what is wrong with its cameras than the table does.
             if cameras.is_trouble() {
-                advice = Some(sentence(&cameras.text));
+                why.advice = Some(sentence(&cameras.text));
             }
             if let Some(neighbour) = &cameras.neighbour {
-                text += &format!("; {neighbour}");
+                why.text += &format!("; {neighbour}");
             }
         }
-        Self { text, advice }
+        why
     }
 }
 

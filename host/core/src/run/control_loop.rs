@@ -245,32 +245,22 @@ impl<L: Line> ControlLoop<L> {
             _ => {}
         }
 
-        let Self {
-            controller,
-            rings,
-            line,
-            commands_since_heard,
-            counters,
-            unreported,
-            ..
-        } = self;
         let mut drive = None;
         let mut write = |frame: &[u8]| {
             let number = drive_number(frame);
-            let sent = match line {
-                Some(_) if number.is_some() && *commands_since_heard >= COMMANDS_INTO_SILENCE => {
-                    Sent::Dropped
-                }
+            let is_heard = self.commands_since_heard < COMMANDS_INTO_SILENCE;
+            let sent = match &mut self.line {
+                Some(_) if number.is_some() && !is_heard => Sent::Dropped,
                 Some(line) => line.write_frame(frame),
                 None => Sent::Dropped,
             };
             if let Some(number) = number {
                 let written = sent == Sent::Whole;
                 if written {
-                    *commands_since_heard += 1;
-                    counters.drives_written += 1;
+                    self.commands_since_heard += 1;
+                    self.counters.drives_written += 1;
                 } else {
-                    counters.drives_withheld += 1;
+                    self.counters.drives_withheld += 1;
                 }
                 drive = Some(DriveWrite {
                     sequence: number.0,
@@ -281,19 +271,21 @@ impl<L: Line> ControlLoop<L> {
             sent
         };
         let mut dropped = 0;
-        let tick = controller.tick(now, &mut write, &mut |event| {
-            dropped += tell(&mut rings.reports, now.0, event);
+        let reports = &mut self.rings.reports;
+        let tick = self.controller.tick(now, &mut write, &mut |event| {
+            dropped += tell(reports, now.0, event);
         });
         let time_ns = now.0;
         if let Some(proof) = tick.proved {
             let report = Report::Proved { time_ns, proof };
-            dropped += u64::from(rings.reports.push(report).is_err());
+            dropped += u64::from(reports.push(report).is_err());
         }
         // A proof that is void must not outlive the daemon in its file: it waits for room.
-        for proof in [unreported.take(), tick.disproved].into_iter().flatten() {
+        let unreported = self.unreported.take();
+        for proof in [unreported, tick.disproved].into_iter().flatten() {
             let report = Report::Disproved { time_ns, proof };
-            if rings.reports.push(report).is_err() {
-                *unreported = Some(proof);
+            if reports.push(report).is_err() {
+                self.unreported = Some(proof);
             }
         }
         let record = TickRecord {
@@ -307,9 +299,9 @@ impl<L: Line> ControlLoop<L> {
             events_dropped: tick.dropped_events.saturating_add(passed_over),
             output: tick.output,
             drive,
-            link: link_phase(&controller.session.state()),
+            link: link_phase(&self.controller.session.state()),
         };
-        dropped += u64::from(!rings.ticks.push(&record));
+        dropped += u64::from(!self.rings.ticks.push(&record));
         self.counters.reports_dropped += dropped;
         self.begin_ns = self.begin_ns.filter(|_| self.is_driving());
         let is_driving = self.is_driving();

@@ -61,12 +61,7 @@ pub(super) async fn begin(
     daemon: &DaemonHandle,
     request: Arm,
 ) -> Result<(Ticket, DriveWatch), Refused> {
-    let Arm {
-        attendance,
-        uncalibrated,
-        start_ns,
-        ..
-    } = request;
+    let (attendance, start_ns) = (request.attendance, request.start_ns);
     ready(daemon)?;
     let judging = daemon.drives.judging().try_lock_owned();
     let why = "the request of another client is being judged";
@@ -85,10 +80,9 @@ pub(super) async fn begin(
         let stand = stand(&snapshot);
         let tuned = snapshot.output().and_then(|output| output.tuned);
         let refused = |code| move |why: String| cannot(code, &why);
-        let refusal = (!uncalibrated)
-            .then(|| judged.commissioned.refusal(&config))
-            .flatten()
-            .map(refused(Code::NotCommissioned));
+        let commissioned = judged.commissioned.refusal(&config);
+        let refusal = commissioned.filter(|_| !request.uncalibrated);
+        let refusal = refusal.map(refused(Code::NotCommissioned));
         let uncertified = || certificate::refusal(&config).map(refused(Code::File));
         let refusal = refusal.or_else(uncertified).or_else(|| {
             let config = match tuned {
@@ -100,9 +94,8 @@ pub(super) async fn begin(
         });
         (number, refusal)
     });
-    let (number, refusal) = judgement
-        .await
-        .map_err(|error| Refused::new(Code::Other, error))?;
+    let judgement = judgement.await;
+    let (number, refusal) = judgement.map_err(|error| Refused::new(Code::Other, error))?;
     if let Some(refusal) = refusal {
         return Err(refusal);
     }
@@ -121,14 +114,11 @@ pub(super) async fn begin(
         return Err(cannot(Code::Superseded, why));
     }
     let ticket = daemon.drives.next();
+    let arm = |arming| ControlRequest::Pilot(PilotRequest::Arm(arming));
     let request = match (attendance, start_ns) {
         (_, Some(start_ns)) => ControlRequest::ArmAt(start_ns),
-        (Attendance::Unattended, None) => {
-            ControlRequest::Pilot(PilotRequest::Arm(Arming::Unattended))
-        }
-        (Attendance::Hold | Attendance::Timed(_), None) => {
-            ControlRequest::Pilot(PilotRequest::Arm(Arming::Held))
-        }
+        (Attendance::Unattended, None) => arm(Arming::Unattended),
+        (Attendance::Hold | Attendance::Timed(_), None) => arm(Arming::Held),
     };
     ticket.pass(daemon, request)?;
     Ok((ticket, DriveWatch::new(daemon)))

@@ -38,22 +38,18 @@ impl SocketThread {
             .build()
             .map_err(|error| format!("can't start the socket thread: {error}"))?;
         let thread = NamedThread::spawn("socket", move || {
-            let BoundSocket {
-                listener,
-                file,
-                port,
-            } = socket;
+            let port = socket.port;
             let port = port.map(|port| ((port.listener, port.gate), port.file));
             let (port, token_file) = port.unzip();
             runtime.block_on(async {
-                match listen(listener, port, daemon) {
+                match listen(socket.listener, port, daemon) {
                     Ok(accepting) => until_one_ends(accepting, stopped.notified()).await,
                     Err(error) => tracing::error!(%error, "can't serve the control socket"),
                 }
             });
             // Clients are disconnected before the files are removed.
             runtime.shutdown_background();
-            drop((file, token_file));
+            drop((socket.file, token_file));
         })?;
         Ok(Self { stop, thread })
     }

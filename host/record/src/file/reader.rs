@@ -346,23 +346,15 @@ impl Reader {
                 }
                 Step::Message(_) | Step::End => return Err(self.not_ours()),
             }
-            let Catalogue {
-                header,
-                metadata,
-                configuration,
-                schemas,
-                ..
-            } = &self.catalogue;
-            if header
-                .as_ref()
-                .is_some_and(|(profile, _)| profile != PROFILE)
-                || (metadata.is_none() && !schemas.is_empty())
-            {
+            let known = &self.catalogue;
+            let header = known.header.as_ref();
+            let is_other = header.is_some_and(|(profile, _)| profile != PROFILE);
+            if is_other || (known.metadata.is_none() && !known.schemas.is_empty()) {
                 return Err(self.not_ours());
             }
-            if let Some(metadata) = metadata {
+            if let Some(metadata) = &known.metadata {
                 check_version(&self.path, metadata)?;
-                if let Some(configuration) = configuration {
+                if let Some(configuration) = &known.configuration {
                     return Meta::from_parts(&self.path, metadata, configuration);
                 }
             }

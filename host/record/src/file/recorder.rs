@@ -371,23 +371,18 @@ impl Container {
     /// Completes the file and renames it to its final name; returns its size.
     pub(crate) fn finish(mut self) -> Result<u64, RecordError> {
         self.write(Writer::finish)?;
-        let Self {
-            path,
-            part,
-            writer,
-            file,
-        } = self;
-        let mut output = writer.into_inner().into_inner();
-        output.flush().map_err(failure("write", &part))?;
-        let Some(file) = file else {
+        let mut output = self.writer.into_inner().into_inner();
+        let part = &self.part;
+        output.flush().map_err(failure("write", part))?;
+        let Some(file) = self.file else {
             return Ok(0);
         };
-        file.sync_all().map_err(failure("sync", &part))?;
-        let bytes = file.metadata().map_err(failure("look at", &part))?.len();
-        if path.exists() {
-            return Err(RecordError::Exists(path));
+        file.sync_all().map_err(failure("sync", part))?;
+        let bytes = file.metadata().map_err(failure("look at", part))?.len();
+        if self.path.exists() {
+            return Err(RecordError::Exists(self.path));
         }
-        put_in_place(&part, &path).map_err(failure("rename", &part))?;
+        put_in_place(part, &self.path).map_err(failure("rename", part))?;
         Ok(bytes)
     }
 

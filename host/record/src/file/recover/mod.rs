@@ -164,11 +164,7 @@ pub fn recover(
         recovery: Recovery::default(),
     };
     let result = salvage.all(input, &mut scan, &mut progress);
-    let Salvage {
-        mut container,
-        mut recovery,
-        ..
-    } = salvage;
+    let (mut container, mut recovery) = (salvage.container, salvage.recovery);
     if let Err(error) = result {
         container.discard()?;
         return Err(error);
