@@ -44,7 +44,10 @@ impl MocapSockets {
         Ok(Self {
             command,
             data,
-            stream: MocapStream::new(datagram_port),
+            stream: MocapStream {
+                datagram_port,
+                ..MocapStream::default()
+            },
             is_reachable: true,
         })
     }
@@ -131,8 +134,9 @@ fn join(config: &MotionCaptureSection) -> Result<UdpSocket, String> {
 const READ: usize = 65_536;
 
 /// The stream that the session wants, as far as it is open.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct MocapStream {
+    /// Where datagrams are received.
     datagram_port: u16,
     /// What was wanted last: a stream that failed is not opened again.
     wanted: Option<Stream>,
@@ -142,17 +146,6 @@ struct MocapStream {
 }
 
 impl MocapStream {
-    /// No stream. Datagrams are received at this port.
-    const fn new(datagram_port: u16) -> Self {
-        Self {
-            datagram_port,
-            wanted: None,
-            socket: None,
-            is_open: false,
-            buffer: Vec::new(),
-        }
-    }
-
     fn file(&self) -> Option<BorrowedFd<'_>> {
         let socket = self.socket.as_ref().filter(|_| self.is_open)?;
         Some(socket.as_fd())

@@ -157,7 +157,7 @@ impl Reconfigurer {
         if let Err(error) = &result {
             let number = state.configurations.number;
             warn!("{by}: configuration {number} stays: {error}");
-            self.publish(Change {
+            self.published().view.last_change = Some(Change {
                 by: by.into(),
                 error: Some(error.to_string()),
             });
@@ -229,9 +229,5 @@ impl Reconfigurer {
         };
         let published = Published::of(configurations, Some(change));
         *self.published() = published;
-    }
-
-    fn publish(&self, change: Change) {
-        self.published().view.last_change = Some(change);
     }
 }

@@ -152,21 +152,16 @@ impl Service {
     /// Asks the daemon to end before anything is logged. A second signal disarms at once.
     fn begin_end(&mut self, signal: &str) -> Result<(), Stalled> {
         let requests = &self.daemon.handle.requests;
-        let result = match self.ending_since {
-            None => {
-                let result = requests.push(ControlRequest::Finish);
-                info!(signal, "stopping");
-                let text = format!("{signal}: stopping the car");
-                self.manager.status(STOPPING, &text);
-                result
-            }
-            Some(_) => {
-                let result = requests.push(ControlRequest::Abort);
-                warn!(signal, "disarming at once");
-                result
-            }
-        };
-        self.ending_since.get_or_insert_with(Instant::now);
+        if self.ending_since.is_some() {
+            let result = requests.push(ControlRequest::Abort);
+            warn!(signal, "disarming at once");
+            return result;
+        }
+        let result = requests.push(ControlRequest::Finish);
+        info!(signal, "stopping");
+        let text = format!("{signal}: stopping the car");
+        self.manager.status(STOPPING, &text);
+        self.ending_since = Some(Instant::now());
         result
     }
 

@@ -46,32 +46,23 @@ pub enum SerialEvent<L> {
 }
 
 /// Bytes of one read.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Chunk {
     /// When they were read.
     pub time_ns: u64,
-    length: usize,
-    bytes: [u8; CHUNK],
+    bytes: heapless::Vec<u8, CHUNK>,
 }
 
 impl Chunk {
     /// The first [`CHUNK`] bytes of `bytes`, read at `time_ns`.
     pub fn new(time_ns: u64, bytes: &[u8]) -> Self {
-        let mut chunk = Self {
-            time_ns,
-            length: 0,
-            bytes: [0; CHUNK],
-        };
-        for (to, from) in chunk.bytes.iter_mut().zip(bytes) {
-            *to = *from;
-            chunk.length += 1;
-        }
-        chunk
+        let bytes = bytes.iter().copied().take(CHUNK).collect();
+        Self { time_ns, bytes }
     }
 
     /// The bytes.
     pub fn bytes(&self) -> &[u8] {
-        self.bytes.get(..self.length).unwrap_or(&[])
+        &self.bytes
     }
 }
 

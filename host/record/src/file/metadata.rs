@@ -2,7 +2,6 @@
 
 use std::{
     borrow::Cow,
-    collections::BTreeMap,
     fs::File,
     io::{Read, Seek, SeekFrom},
     path::Path,
@@ -28,27 +27,23 @@ const SOFTWARE_PREFIX: &str = "software.";
 
 impl Meta {
     pub(crate) fn to_metadata(&self) -> Metadata {
-        let mut metadata = BTreeMap::from([
-            ("record_version".to_owned(), RECORD_VERSION.to_string()),
-            (
-                "protocol_version".to_owned(),
-                self.protocol_version.to_string(),
-            ),
-            (
-                "start_monotonic_ns".to_owned(),
-                self.start.monotonic_ns.to_string(),
-            ),
-            ("start_wall_ns".to_owned(), self.start.wall_ns.to_string()),
-        ]);
-        if let Some(seed) = self.seed {
-            metadata.insert("seed".to_owned(), seed.to_string());
-        }
-        for (component, version) in &self.software {
-            metadata.insert(format!("{SOFTWARE_PREFIX}{component}"), version.clone());
-        }
+        let numbers = [
+            ("record_version", RECORD_VERSION.into()),
+            ("protocol_version", self.protocol_version.into()),
+            ("start_monotonic_ns", self.start.monotonic_ns),
+            ("start_wall_ns", self.start.wall_ns),
+        ];
+        let numbers = numbers
+            .into_iter()
+            .chain(self.seed.map(|seed| ("seed", seed)));
+        let numbers = numbers.map(|(key, number): (_, u64)| (key.to_owned(), number.to_string()));
+        let software = self.software.iter().map(|(component, version)| {
+            let key = format!("{SOFTWARE_PREFIX}{component}");
+            (key, version.clone())
+        });
         Metadata {
             name: METADATA_NAME.to_owned(),
-            metadata,
+            metadata: numbers.chain(software).collect(),
         }
     }
 
