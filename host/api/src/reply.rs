@@ -265,9 +265,3 @@ impl fmt::Display for Ended {
         }
     }
 }
-
-impl From<Answer> for Reply {
-    fn from(answer: Answer) -> Self {
-        Self::Answer(Box::new(answer))
-    }
-}

@@ -184,9 +184,7 @@ fn shown(path: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use singletrack_api::Cameras;
-    use singletrack_api::{Calibration, Change, Correction};
+    use singletrack_api::{Calibration, Cameras, Change, Correction};
     use singletrack_control::{
         Actuation, Estimate, Position, ReferencePoint, SlowedBy, Time, Velocity,
     };
@@ -194,7 +192,8 @@ mod tests {
     use singletrack_pilot::{Filtering, Learned};
     use singletrack_protocol::{BoardMode, StopCause};
     use singletrack_record::{LinkPhase, TickRecord};
-    use std::sync::Arc;
+
+    use super::*;
 
     /// With every value that there can be.
     fn snapshot() -> Snapshot {

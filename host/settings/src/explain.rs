@@ -38,13 +38,7 @@ pub fn explain(text: &str, error: &toml::de::Error) -> String {
 /// Explains why a table can't be read whose text is not at hand: key and fix.
 pub fn explain_table(error: &toml::de::Error) -> String {
     let (message, text) = (error.message().trim(), error.to_string());
-    let place = Place {
-        line: 0,
-        table: String::new(),
-        key: None,
-        value: None,
-    };
-    let what = in_plain_words(message, &place).unwrap_or_else(|| message.to_owned());
+    let what = in_plain_words(message, &Place::default()).unwrap_or_else(|| message.to_owned());
     if let Some(field) = quoted_after(message, "missing field ") {
         return format!("{field} is missing; add it");
     }
@@ -57,6 +51,7 @@ pub fn explain_table(error: &toml::de::Error) -> String {
 }
 
 /// The position of a mistake in a file.
+#[derive(Default)]
 struct Place<'a> {
     /// Counted from 1.
     line: usize,

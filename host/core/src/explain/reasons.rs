@@ -48,6 +48,11 @@ pub fn explanations() -> impl Iterator<Item = Explanation> {
     })
 }
 
+/// The explanation of a word; none if the daemon is of another release and has other words.
+fn find(who: &str, word: &str) -> Option<Explanation> {
+    explanations().find(|row| row.who == who && row.word == word)
+}
+
 /// The first sentence of a meaning, as a part of another one.
 fn brief(meaning: &str) -> String {
     let first = meaning.split(". ").next().unwrap_or_default();
@@ -92,12 +97,11 @@ impl Why {
     /// own explanation.
     pub fn of_word(who: &str, word: &str) -> Self {
         let plain = |text: &str| text.replace('`', "");
-        match explanations().find(|row| row.who == who && row.word == word) {
+        match find(who, word) {
             Some(row) => Self {
                 text: format!("{} ({word})", brief(&plain(&row.meaning))),
                 advice: (!row.remedy.starts_with("Nothing")).then(|| plain(&row.remedy)),
             },
-            // The daemon is of another release and has other words.
             None => Self {
                 text: word.to_owned(),
                 advice: None,

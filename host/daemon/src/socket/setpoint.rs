@@ -186,8 +186,9 @@ pub(super) fn unreadable(line: &[u8]) -> Option<Code> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use serde_json::json;
+
+    use super::*;
 
     const SECOND: u64 = 1_000_000_000;
     const NOW: Time = Time(100 * SECOND);

@@ -14,6 +14,9 @@ const WARN: Byte = Byte(1);
 const ERROR: Byte = Byte(2);
 const STALE: Byte = Byte(3);
 
+/// What each of these is a part of.
+const HARDWARE: &str = "singletrack";
+
 /// The latest states.
 #[derive(Debug, Default)]
 pub(super) struct Diagnostics {
@@ -78,26 +81,26 @@ impl Diagnostics {
             (_, Some(_)) => WARN,
         };
         let reason = reason.map_or("none", Reason::name);
-        Some(status(
+        Some(DiagnosticStatus {
             level,
-            "singletrack: pilot",
-            match reason {
+            name: "singletrack: pilot",
+            message: match reason {
                 "none" => mode.name().to_owned(),
-                reason => format!("{}: {reason}", mode.name()),
+                reason => format!("{mode}: {reason}"),
             },
-            vec![
+            hardware_id: HARDWARE,
+            values: vec![
                 pair("mode", mode.name()),
                 pair("reason", reason),
                 pair("link", link.name()),
             ],
-        ))
+        })
     }
 
     fn board(&self) -> Option<DiagnosticStatus> {
         let report = self.status?;
-        let lost = self
-            .pilot
-            .is_some_and(|pilot| pilot.link != LinkPhase::Ready);
+        let pilot = self.pilot.as_ref();
+        let lost = pilot.is_some_and(|pilot| pilot.link != LinkPhase::Ready);
         let mode = self.board.map(|(mode, _)| mode);
         let level = match mode {
             _ if lost => STALE,
@@ -131,12 +134,13 @@ impl Diagnostics {
             pair("bytes_overrun", &report.bytes_overrun),
             pair("imu_errors", &report.imu_errors),
         ]);
-        Some(status(
+        Some(DiagnosticStatus {
             level,
-            "singletrack: board",
-            message.to_owned(),
+            name: "singletrack: board",
+            message: message.to_owned(),
+            hardware_id: HARDWARE,
             values,
-        ))
+        })
     }
 
     fn record(&self) -> DiagnosticStatus {
@@ -144,12 +148,13 @@ impl Diagnostics {
             0 => (OK, "complete".to_owned()),
             dropped => (WARN, format!("{dropped} entries are missing")),
         };
-        status(
+        DiagnosticStatus {
             level,
-            "singletrack: record",
+            name: "singletrack: record",
             message,
-            vec![pair("entries_dropped", &self.dropped)],
-        )
+            hardware_id: HARDWARE,
+            values: vec![pair("entries_dropped", &self.dropped)],
+        }
     }
 }
 
@@ -162,21 +167,6 @@ const fn troubles(status: &Status) -> [u16; 5] {
         status.bytes_overrun,
         status.imu_errors,
     ]
-}
-
-fn status(
-    level: Byte,
-    name: &'static str,
-    message: String,
-    values: Vec<KeyValue>,
-) -> DiagnosticStatus {
-    DiagnosticStatus {
-        level,
-        name,
-        message,
-        hardware_id: "singletrack",
-        values,
-    }
 }
 
 fn pair(key: &'static str, value: &(impl ToString + ?Sized)) -> KeyValue {
