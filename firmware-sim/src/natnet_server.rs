@@ -279,7 +279,7 @@ impl NatNetServer {
             application: "singletrack-sim",
             application_version: [1, 0, 0, 0],
             natnet_version: bitstream.to_wire(),
-            connection: bitstream.has_camera_ticks().then_some(Connection {
+            connection: (bitstream >= BitstreamVersion::V3_0).then_some(Connection {
                 ticks_per_second: NonZeroU64::new(TICKS_PER_SECOND),
                 data_channel: DataChannel {
                     port,

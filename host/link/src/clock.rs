@@ -119,7 +119,7 @@ impl BoardClock {
     /// Takes the stamp of a record. `receive_time_ns` is the time of its arrival minus
     /// the known part of its delay. It must not run backwards.
     pub fn observe(&mut self, receive_time_ns: u64, board_time_us: u32) -> StampOutcome {
-        let Some(origin) = &mut self.origin else {
+        let Some(mut origin) = self.origin else {
             return self.begin(receive_time_ns, board_time_us);
         };
         let since_last_us = board_time_us.wrapping_sub(origin.newest_raw_us);
@@ -145,8 +145,6 @@ impl BoardClock {
         self.implausible = 0;
         origin.newest_raw_us = board_time_us;
         origin.newest_elapsed_us = elapsed_us;
-        let newest_mapped_ns = origin.newest_mapped_ns;
-        let first_host_ns = origin.host_ns;
 
         self.keep(Point {
             board_ns,
@@ -154,14 +152,12 @@ impl BoardClock {
         });
         self.fit(board_ns);
 
-        let mapped_ns = host_time(first_host_ns, board_ns, &self.line)
-            .max(newest_mapped_ns)
+        origin.newest_mapped_ns = host_time(origin.host_ns, board_ns, &self.line)
+            .max(origin.newest_mapped_ns)
             .min(receive_time_ns);
-        if let Some(origin) = &mut self.origin {
-            origin.newest_mapped_ns = mapped_ns;
-        }
+        self.origin = Some(origin);
         StampOutcome::Mapped(Stamp {
-            host_time_ns: mapped_ns,
+            host_time_ns: origin.newest_mapped_ns,
             board_elapsed_us: elapsed_us,
             since_last_us,
         })
@@ -189,9 +185,7 @@ impl BoardClock {
     /// delay; `None` before the first stamp. With evenly distributed delays it covers
     /// more than 98 of 100 errors; the others are in the first second.
     pub fn uncertainty_ns(&self) -> Option<u64> {
-        self.origin
-            .is_some()
-            .then_some(self.line.uncertainty_ns as u64)
+        self.origin.map(|_| self.line.uncertainty_ns as u64)
     }
 
     fn begin(&mut self, receive_time_ns: u64, board_time_us: u32) -> StampOutcome {

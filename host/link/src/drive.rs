@@ -2,7 +2,7 @@
 //! back.
 
 use singletrack_protocol::words;
-use singletrack_protocol::{BoardMode, Drive, Jog, Sequence};
+use singletrack_protocol::{BoardMode, Drive, Sequence};
 
 /// The set points of the car until the next command.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,16 +60,11 @@ impl Quantity {
             // To the nearest; `as` truncates, and the range has been checked.
             return Ok((steps + 0.5_f64.copysign(steps)) as i16);
         }
+        let quantity = self;
         Err(if value.is_finite() {
-            DriveError::OutOfRange {
-                quantity: self,
-                value,
-            }
+            DriveError::OutOfRange { quantity, value }
         } else {
-            DriveError::NotFinite {
-                quantity: self,
-                value,
-            }
+            DriveError::NotFinite { quantity, value }
         })
     }
 }
@@ -149,20 +144,6 @@ pub(crate) fn message(
     })
 }
 
-/// The message of pulses that rest on the telemetry `newest`.
-pub(crate) const fn jog_message(
-    command: JogCommand,
-    sequence: Sequence,
-    newest: &NewestTelemetry,
-) -> Jog {
-    Jog {
-        sequence,
-        telemetry_time_us: newest.board_time_us,
-        servo_us: command.servo_us,
-        esc_us: command.esc_us,
-    }
-}
-
 /// Age of the pose at the board time of the telemetry, to which the board adds the
 /// telemetry's own age. It is rounded up, so that a pose is never taken for younger
 /// than it is; zero when the pose is newer than the telemetry.
@@ -206,7 +187,8 @@ pub struct RoundTrip {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Latency {
     sent: [Option<(Sequence, u64)>; REMEMBERED],
-    round_trip: Option<RoundTrip>,
+    /// None before the first answer.
+    pub(crate) round_trip: Option<RoundTrip>,
 }
 
 impl Latency {
@@ -219,9 +201,8 @@ impl Latency {
         let sent = &mut self.sent[slot(sequence)];
         if let Some((_, sent_ns)) = sent.take_if(|(sent, _)| *sent == sequence) {
             let last_ns = now_ns.saturating_sub(sent_ns);
-            let min_ns = self
-                .round_trip
-                .map_or(last_ns, |before| before.min_ns.min(last_ns));
+            let before_ns = self.round_trip.map_or(last_ns, |before| before.min_ns);
+            let min_ns = before_ns.min(last_ns);
             self.round_trip = Some(RoundTrip { min_ns, last_ns });
         }
     }
@@ -229,10 +210,6 @@ impl Latency {
     /// Forgets the commands that wait for an echo, and keeps the measured times.
     pub(crate) fn forget_sent(&mut self) {
         self.sent = [None; REMEMBERED];
-    }
-
-    pub(crate) fn round_trip(&self) -> Option<RoundTrip> {
-        self.round_trip
     }
 }
 
@@ -331,7 +308,7 @@ mod tests {
         latency.sent(20_000, Sequence(8));
         latency.echoed(25_000, Sequence(8));
         assert_eq!(
-            latency.round_trip(),
+            latency.round_trip,
             Some(RoundTrip {
                 min_ns: 5_000,
                 last_ns: 5_000
@@ -346,6 +323,6 @@ mod tests {
         latency.echoed(9_000, Sequence(39));
         latency.forget_sent();
         latency.echoed(9_000, Sequence(7));
-        assert_eq!(latency.round_trip(), None);
+        assert_eq!(latency.round_trip, None);
     }
 }

@@ -167,15 +167,11 @@ impl VersionMismatch {
 
 impl fmt::Display for VersionMismatch {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            board_protocol,
-            board_software: board,
-            host_software: host,
-        } = self;
+        let [[a, b, c], [d, e, f]] = [self.board_software, self.host_software];
         write!(
             formatter,
-            "the board (software {}.{}.{}) speaks protocol {board_protocol}, the host (software {}.{}.{}) speaks protocol {VERSION}: ",
-            board[0], board[1], board[2], host[0], host[1], host[2]
+            "the board (software {a}.{b}.{c}) speaks protocol {}, the host (software {d}.{e}.{f}) speaks protocol {VERSION}: ",
+            self.board_protocol
         )?;
         formatter.write_str(match self.outdated() {
             Side::Board => "flash the board with the firmware of the host's release",
@@ -332,7 +328,8 @@ impl QualityWindow {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct BoardQuality {
     since: Option<Status>,
-    last: Option<LineQuality>,
+    /// Over the last span; none before two reports.
+    pub(crate) last: Option<LineQuality>,
 }
 
 impl BoardQuality {
@@ -352,10 +349,6 @@ impl BoardQuality {
             });
             self.since = Some(*status);
         }
-    }
-
-    pub(crate) const fn last(&self) -> Option<LineQuality> {
-        self.last
     }
 }
 

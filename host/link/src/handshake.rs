@@ -32,23 +32,19 @@ pub(crate) enum Phase {
 }
 
 impl Phase {
-    pub(crate) const fn configuring(sequence: Sequence, now_ns: u64) -> Self {
-        Self::Configuring {
-            pending: Pending::new(sequence, now_ns),
-            refused: None,
-        }
+    /// The configuration is due at `first_ns`.
+    pub(crate) const fn configuring(
+        sequence: Sequence,
+        first_ns: u64,
+        refused: Option<RefusalReason>,
+    ) -> Self {
+        let pending = Pending::new(sequence, first_ns);
+        Self::Configuring { pending, refused }
     }
 
     /// Whether the board has answered and speaks the session's version.
     pub(crate) const fn is_connected(&self) -> bool {
         matches!(self, Self::Configuring { .. } | Self::Ready)
-    }
-
-    pub(crate) const fn greeting(&self) -> Option<&Greeting> {
-        match self {
-            Self::Greeting(greeting) => Some(greeting),
-            _ => None,
-        }
     }
 
     pub(crate) const fn greeting_mut(&mut self) -> Option<&mut Greeting> {
@@ -84,11 +80,7 @@ impl Nonces {
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         let nonce = (z >> 32) as u32;
-        if nonce == UNSOLICITED {
-            UNSOLICITED.wrapping_add(1)
-        } else {
-            nonce
-        }
+        nonce.wrapping_add(u32::from(nonce == UNSOLICITED))
     }
 }
 
@@ -103,7 +95,8 @@ pub const ATTEMPTS: u8 = 3;
 pub(crate) struct Pending {
     pub(crate) sequence: Sequence,
     attempts: u8,
-    next_ns: u64,
+    /// When it is due to be sent or dropped.
+    pub(crate) next_ns: u64,
 }
 
 impl Pending {
@@ -114,11 +107,6 @@ impl Pending {
             attempts: 0,
             next_ns: first_ns,
         }
-    }
-
-    /// When it is due to be sent or dropped.
-    pub(crate) const fn deadline_ns(&self) -> u64 {
-        self.next_ns
     }
 
     pub(crate) const fn was_sent(&self) -> bool {
@@ -162,7 +150,7 @@ impl StopKind {
 pub(crate) struct Stop {
     pub(crate) kind: StopKind,
     pub(crate) sequence: Sequence,
-    next_ns: u64,
+    pub(crate) next_ns: u64,
     answered: bool,
 }
 
@@ -176,10 +164,6 @@ impl Stop {
         }
     }
 
-    pub(crate) const fn deadline_ns(&self) -> u64 {
-        self.next_ns
-    }
-
     pub(crate) fn take_due(&mut self, now_ns: u64) -> Option<ToBoard> {
         if now_ns < self.next_ns {
             return None;
@@ -190,11 +174,6 @@ impl Stop {
             StopKind::Disarm => Disarm { request }.into(),
             StopKind::EmergencyStop => EmergencyStop { request }.into(),
         })
-    }
-
-    /// The board has just begun to listen: the stop is due at once.
-    pub(crate) const fn hurry(&mut self, now_ns: u64) {
-        self.next_ns = now_ns;
     }
 
     /// Takes an answer; true when it is the first one to this request.

@@ -9,7 +9,7 @@ use crate::{
     clock::{Stamp, StampOutcome},
     drive::NewestTelemetry,
     event::{Event, QualityWindow, RestartEvidence, TimedTelemetry, VersionMismatch, Wake},
-    handshake::{Pending, Phase, SLOW_RETRY_NS},
+    handshake::{Phase, SLOW_RETRY_NS},
     session::Session,
 };
 
@@ -56,7 +56,8 @@ impl Session {
             return self.hello(&hello, wake);
         }
         if !self.phase.is_connected() {
-            let answered = self.phase.greeting().and_then(|greeting| greeting.answered);
+            let greeting = self.phase.greeting_mut();
+            let answered = greeting.and_then(|greeting| greeting.answered);
             // Only Hello means the same in every version.
             let (Some(software_version), ToHost::Identity(_)) = (answered, message) else {
                 self.counters.frames_ignored += 1;
@@ -70,11 +71,8 @@ impl Session {
             ToHost::Telemetry(telemetry) => self.telemetry(telemetry, wake),
             ToHost::Status(status) => self.status(&status, wake),
             ToHost::Acknowledgement(yes) => {
-                self.answered(
-                    (yes.request, yes.sequence),
-                    Ok(yes.configuration_hash),
-                    wake,
-                );
+                let hash = yes.configuration_hash;
+                self.answered((yes.request, yes.sequence), Ok(hash), wake);
             }
             ToHost::Refusal(no) => self.answered((no.request, no.sequence), Err(no.reason), wake),
             ToHost::Identity(identity) => wake.tell(Event::Identified {
@@ -114,9 +112,10 @@ impl Session {
         self.acquainted = true;
         self.last_heard_ns = wake.now_ns;
         if let Some(stop) = &mut self.stop {
-            stop.hurry(wake.now_ns);
+            // The board has just begun to listen.
+            stop.next_ns = wake.now_ns;
         }
-        self.phase = Phase::configuring(self.take_request_number(), wake.now_ns);
+        self.phase = Phase::configuring(self.take_request_number(), wake.now_ns, None);
         wake.tell(Event::Connected {
             board_software_version,
         });
@@ -201,10 +200,8 @@ impl Session {
             _ => None,
         };
         let again_ns = wake.now_ns.saturating_add(SLOW_RETRY_NS);
-        self.phase = Phase::Configuring {
-            pending: Pending::new(self.take_request_number(), again_ns),
-            refused: Some(reason),
-        };
+        let sequence = self.take_request_number();
+        self.phase = Phase::configuring(sequence, again_ns, Some(reason));
         if known != Some(reason) {
             wake.tell(Event::ConfigurationRefused { reason });
         }

@@ -4,7 +4,7 @@ use core::num::NonZeroU32;
 
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, ConfigurationError, Configure, Decoder, Drive, Frame, Hello,
-    MAX_FRAME_LENGTH, Request, Sequence, ToBoard, VERSION,
+    Jog, MAX_FRAME_LENGTH, Request, Sequence, ToBoard, VERSION,
 };
 
 use crate::{
@@ -123,9 +123,8 @@ impl Session {
         self.phase = Phase::Disconnected;
         self.counters.hang_ups += 1;
         if connected {
-            on_event(Event::Lost {
-                cause: LossCause::HangUp,
-            });
+            let cause = LossCause::HangUp;
+            on_event(Event::Lost { cause });
         }
     }
 
@@ -190,7 +189,7 @@ impl Session {
         self.config.configuration = configuration;
         self.configuration_hash = configuration.hash();
         if self.phase.is_connected() {
-            self.phase = Phase::configuring(self.take_request_number(), now_ns);
+            self.phase = Phase::configuring(self.take_request_number(), now_ns, None);
         }
         Ok(())
     }
@@ -218,7 +217,12 @@ impl Session {
     /// The board would not obey.
     pub fn jog(&mut self, now_ns: u64, command: JogCommand) -> Result<Frame, NotReady> {
         let (sequence, newest) = self.next_command(BoardMode::Jogging)?;
-        let message = drive::jog_message(command, sequence, &newest);
+        let message = Jog {
+            sequence,
+            telemetry_time_us: newest.board_time_us,
+            servo_us: command.servo_us,
+            esc_us: command.esc_us,
+        };
         Ok(self.command(now_ns, sequence, message.into()))
     }
 
@@ -227,10 +231,7 @@ impl Session {
         if !matches!(self.phase, Phase::Ready) {
             return Err(NotReady::NotConfigured);
         }
-        match self.stop {
-            Some(_) => Err(NotReady::StopPending),
-            None => Ok(()),
-        }
+        self.stop.map_or(Ok(()), |_| Err(NotReady::StopPending))
     }
 
     /// Number and telemetry of a command that leads to `mode`.
@@ -302,13 +303,13 @@ impl Session {
     /// Frames to the board, as the board counted them over about the last
     /// second; `None` until it has reported twice.
     pub const fn board_line_quality(&self) -> Option<LineQuality> {
-        self.board_quality.last()
+        self.board_quality.last
     }
 
     /// How long commands take to the board and back; `None` until telemetry reports
     /// the first accepted one.
     pub fn round_trip(&self) -> Option<RoundTrip> {
-        self.latency.round_trip()
+        self.latency.round_trip
     }
 
     /// The board's clock in host time.
@@ -320,16 +321,14 @@ impl Session {
 
     fn stop(&mut self, now_ns: u64, kind: StopKind) -> Sequence {
         self.arm = None;
-        match self.stop {
-            Some(stop) if stop.kind == kind || stop.kind == StopKind::EmergencyStop => {
-                stop.sequence
-            }
-            _ => {
-                let sequence = self.take_request_number();
-                self.stop = Some(Stop::new(kind, sequence, now_ns));
-                sequence
-            }
+        if let Some(stop) = self.stop
+            && (stop.kind == kind || stop.kind == StopKind::EmergencyStop)
+        {
+            return stop.sequence;
         }
+        let sequence = self.take_request_number();
+        self.stop = Some(Stop::new(kind, sequence, now_ns));
+        sequence
     }
 
     pub(crate) fn take_request_number(&mut self) -> Sequence {
@@ -407,18 +406,16 @@ impl Session {
         let handshake = match &self.phase {
             Phase::Disconnected => return None,
             Phase::Greeting(greeting) => Some(greeting.next_ns),
-            Phase::Configuring { pending, .. } => Some(pending.deadline_ns()),
+            Phase::Configuring { pending, .. } => Some(pending.next_ns),
             Phase::Ready => None,
         };
-        let stop = self
-            .stop
-            .filter(|_| self.may_send_stop())
-            .map(|stop| stop.deadline_ns());
-        let arm = self.arm.map(|arm| arm.deadline_ns());
-        let silence = self
-            .phase
-            .is_connected()
-            .then(|| self.last_heard_ns.saturating_add(LINK_TIMEOUT_NS));
+        let stop = self.stop.filter(|_| self.may_send_stop());
+        let (stop, arm) = (
+            stop.map(|stop| stop.next_ns),
+            self.arm.map(|arm| arm.next_ns),
+        );
+        let silent_ns = self.last_heard_ns.saturating_add(LINK_TIMEOUT_NS);
+        let silence = self.phase.is_connected().then_some(silent_ns);
         [handshake, stop, arm, silence].into_iter().flatten().min()
     }
 
@@ -429,35 +426,34 @@ impl Session {
         if self.phase.is_connected() && now_ns.saturating_sub(self.last_heard_ns) >= LINK_TIMEOUT_NS
         {
             self.counters.links_lost += 1;
-            on_event(Event::Lost {
-                cause: LossCause::Silence,
-            });
+            let cause = LossCause::Silence;
+            on_event(Event::Lost { cause });
             self.greet(now_ns);
             return;
         }
-        if let Phase::Configuring { pending, .. } = self.phase
-            && pending.is_exhausted(now_ns)
-        {
+        let (request, pending) = match self.phase {
+            Phase::Configuring { pending, .. } if pending.is_exhausted(now_ns) => {
+                (Request::Configure, Some(pending))
+            }
+            _ => (
+                Request::Arm,
+                self.arm.take_if(|arm| arm.is_exhausted(now_ns)),
+            ),
+        };
+        if let Some(Pending { sequence, .. }) = pending {
             self.counters.requests_unanswered += 1;
-            on_event(Event::Unanswered {
-                request: Request::Configure,
-                sequence: pending.sequence,
-            });
-            self.greet(now_ns);
-        }
-        if let Some(arm) = self.arm.take_if(|arm| arm.is_exhausted(now_ns)) {
-            self.counters.requests_unanswered += 1;
-            on_event(Event::Unanswered {
-                request: Request::Arm,
-                sequence: arm.sequence,
-            });
+            on_event(Event::Unanswered { request, sequence });
+            if request == Request::Configure {
+                self.greet(now_ns);
+            }
         }
     }
 
     /// A stop is sent whenever the board may understand it, even while the board is
     /// silent, but not to a board that may speak another version.
     fn may_send_stop(&self) -> bool {
-        self.phase.is_connected() || (self.acquainted && self.phase.greeting().is_some())
+        let greets = matches!(self.phase, Phase::Greeting(_));
+        self.phase.is_connected() || (self.acquainted && greets)
     }
 
     fn due_stop(&mut self, now_ns: u64) -> Option<ToBoard> {

@@ -89,17 +89,13 @@ pub(crate) struct BodyReading {
 
 impl BodyReading {
     pub(crate) fn body(&self, body: &RigidBody) -> Body {
-        let state = if body.tracking_valid() {
-            let pose = self.read(
-                body.position_m.map(f64::from),
-                body.orientation_xyzw.map(f64::from),
-                f64::from(body.mean_error_m),
-            );
-            pose.map_or_else(BodyState::Invalid, BodyState::Tracked)
-        } else {
-            BodyState::Untracked
-        };
-        Body { id: body.id, state }
+        let (id, mut state) = (body.id, BodyState::Untracked);
+        if body.tracking_valid() {
+            let position_m = body.position_m.map(f64::from);
+            let orientation_xyzw = body.orientation_xyzw.map(f64::from);
+            state = self.read(position_m, orientation_xyzw, body.mean_error_m.into());
+        }
+        Body { id, state }
     }
 
     /// What a body's numbers say that a server with doubles sent.
@@ -113,7 +109,6 @@ impl BodyReading {
             return BodyState::Invalid(InvalidBody::NotFinite);
         }
         self.read(position_m, orientation_xyzw, mean_error_m)
-            .map_or_else(BodyState::Invalid, BodyState::Tracked)
     }
 
     /// A pose in the server's axes.
@@ -122,28 +117,22 @@ impl BodyReading {
         position_m: [f64; 3],
         [qx, qy, qz, w]: [f64; 4],
         mean_error_m: f64,
-    ) -> Result<BodyPose, InvalidBody> {
+    ) -> BodyState {
         let position_m = self.up_axis.to_z_up(position_m);
         let vector = self.up_axis.to_z_up([qx, qy, qz]);
-        let finite = position_m
-            .iter()
-            .chain(&vector)
-            .all(|value| value.is_finite());
+        let finite = position_m.iter().chain(&vector).all(|x| x.is_finite());
         if !(finite && w.is_finite() && mean_error_m.is_finite()) {
-            return Err(InvalidBody::NotFinite);
+            return BodyState::Invalid(InvalidBody::NotFinite);
         }
         let norm = libm::sqrt(vector.iter().map(|v| v * v).sum::<f64>() + w * w);
         if libm::fabs(norm - 1.0) > self.quaternion_norm_tolerance {
-            return Err(InvalidBody::NotUnitQuaternion);
+            return BodyState::Invalid(InvalidBody::NotUnitQuaternion);
         }
         // Doubles that are a rotation keep their bits.
-        let norm = if libm::fabs(norm - 1.0) < 4.0 * f64::EPSILON {
-            1.0
-        } else {
-            norm
-        };
+        let is_one = libm::fabs(norm - 1.0) < 4.0 * f64::EPSILON;
+        let norm = if is_one { 1.0 } else { norm };
         let [x, y, z] = vector.map(|v| v / norm);
-        Ok(BodyPose {
+        BodyState::Tracked(BodyPose {
             position_m,
             orientation_xyzw: [x, y, z, w / norm],
             mean_error_m,
@@ -169,15 +158,11 @@ impl Bodies<'_> {
     /// The body with this id; `None` when the frame does not list it.
     pub(crate) fn with_id(&self, id: i32) -> Option<Body> {
         let mut bodies = self.clone().filter(|body| body.id == id);
-        let body = bodies.next()?;
-        Some(if bodies.next().is_some() {
-            Body {
-                id,
-                state: BodyState::Invalid(InvalidBody::DuplicateId),
-            }
-        } else {
-            body
-        })
+        let mut body = bodies.next()?;
+        if bodies.next().is_some() {
+            body.state = BodyState::Invalid(InvalidBody::DuplicateId);
+        }
+        Some(body)
     }
 }
 

@@ -22,7 +22,8 @@ use crate::{
 /// What is known of one server's clock.
 #[derive(Clone, Debug)]
 pub(crate) struct CaptureClock {
-    echo: Option<EchoClock>,
+    /// From exchanges, with a server that answers them.
+    pub(crate) echo: Option<EchoClock>,
     transmit: Option<MinDelay>,
     timestamp: MinDelay,
 }
@@ -33,17 +34,20 @@ impl CaptureClock {
     pub(crate) fn new(ticks_per_second: Option<NonZeroU64>, timing: &Timing) -> Self {
         let max_skew = timing.max_clock_skew_ppm * 1e-6;
         let ns_per_tick = ticks_per_second.map(|ticks| 1e9 / ticks.get() as f64);
+        let least = |ns_per_tick, assumed_delay_ns, source| MinDelay {
+            ns_per_tick,
+            max_skew,
+            assumed_delay_ns,
+            source,
+            windows: None,
+        };
+        let (network_ns, latency_ns) = (timing.assumed_network_delay_ns, timing.assumed_latency_ns);
+        let transmit = CaptureTimeSource::MidExposureMinDelay;
         Self {
             echo: ns_per_tick.map(|ns_per_tick| EchoClock::new(ns_per_tick, max_skew)),
-            transmit: ns_per_tick.map(|ns_per_tick| {
-                MinDelay::new(ns_per_tick, max_skew, timing.assumed_network_delay_ns)
-            }),
-            timestamp: MinDelay::new(1.0, max_skew, timing.assumed_latency_ns),
+            transmit: ns_per_tick.map(|ns_per_tick| least(ns_per_tick, network_ns, transmit)),
+            timestamp: least(1.0, latency_ns, CaptureTimeSource::FrameTimestamp),
         }
-    }
-
-    pub(crate) const fn echo_mut(&mut self) -> Option<&mut EchoClock> {
-        self.echo.as_mut()
     }
 
     /// The server's clock when it sent the frame, to put frames in order; 0 when
@@ -65,31 +69,20 @@ impl CaptureClock {
         if let (Some(transmit), true) = (&mut self.transmit, ticks.transmit != 0) {
             transmit.observe(ticks.transmit, receive_ns);
         }
-        if ticks.mid_exposure != 0 {
-            let by_echo = self
-                .echo
-                .as_ref()
-                .and_then(|echo| echo.map(ticks.mid_exposure));
-            if let Some(mapped) = by_echo {
-                return Some(captured(mapped, CaptureTimeSource::MidExposureEcho));
-            }
-            let by_delay = self
-                .transmit
-                .as_ref()
-                .and_then(|transmit| transmit.map(ticks.mid_exposure));
-            if let Some(mapped) = by_delay {
-                return Some(captured(mapped, CaptureTimeSource::MidExposureMinDelay));
-            }
-        }
-        let mapped = self.timestamp.map(timestamp?)?;
-        Some(captured(mapped, CaptureTimeSource::FrameTimestamp))
+        let exposed = Some(ticks.mid_exposure).filter(|ticks| *ticks != 0);
+        let by_echo = || self.echo.as_ref()?.map(exposed?);
+        let by_delay = || self.transmit.as_ref()?.map(exposed?);
+        let by_timestamp = || self.timestamp.map(timestamp?);
+        by_echo().or_else(by_delay).or_else(by_timestamp)
     }
 }
 
-const fn captured(mapped: Mapped, source: CaptureTimeSource) -> CaptureTime {
+/// The time `ns` after `base_ns`, within the type's range.
+fn captured(base_ns: u64, ns: f64, uncertainty_ns: u64, source: CaptureTimeSource) -> CaptureTime {
     CaptureTime {
-        time_ns: mapped.local_ns,
-        uncertainty_ns: mapped.uncertainty_ns,
+        // The conversion saturates.
+        time_ns: base_ns.saturating_add_signed(libm::round(ns) as i64),
+        uncertainty_ns,
         source,
     }
 }
@@ -157,11 +150,9 @@ impl EchoClock {
     }
 
     pub(crate) fn add(&mut self, sample: EchoSample) -> SampleUse {
-        let backward = self
-            .samples
-            .back()
-            .is_some_and(|newest| difference(sample.server_ticks, newest.server_ticks) < 0.0);
-        if backward {
+        if let Some(newest) = self.samples.back()
+            && difference(sample.server_ticks, newest.server_ticks) < 0.0
+        {
             return SampleUse::Backward;
         }
         let contradicts = self
@@ -188,13 +179,12 @@ impl EchoClock {
     }
 
     /// The local time at which the server's clock shows these ticks.
-    pub(crate) fn map(&self, server_ticks: u64) -> Option<Mapped> {
+    fn map(&self, server_ticks: u64) -> Option<CaptureTime> {
         let origin_ns = self.samples.back()?.received_ns;
         let bound = self.estimate(server_ticks, origin_ns)?;
-        Some(Mapped {
-            local_ns: offset_by(origin_ns, bound.middle),
-            uncertainty_ns: libm::ceil(bound.half_width) as u64,
-        })
+        let (within_ns, source) = (bound.half_width, CaptureTimeSource::MidExposureEcho);
+        let uncertainty_ns = libm::ceil(within_ns) as u64;
+        Some(captured(origin_ns, bound.middle, uncertainty_ns, source))
     }
 
     fn estimate(&self, server_ticks: u64, origin_ns: u64) -> Option<Bound> {
@@ -263,10 +253,12 @@ impl EchoClock {
 const WINDOW_NS: u64 = 1_000_000_000;
 
 #[derive(Clone, Debug)]
-pub(crate) struct MinDelay {
+struct MinDelay {
     ns_per_tick: f64,
     max_skew: f64,
     assumed_delay_ns: u64,
+    /// What its times are called.
+    source: CaptureTimeSource,
     windows: Option<Windows>,
 }
 
@@ -280,17 +272,8 @@ struct Windows {
 }
 
 impl MinDelay {
-    pub(crate) const fn new(ns_per_tick: f64, max_skew: f64, assumed_delay_ns: u64) -> Self {
-        Self {
-            ns_per_tick,
-            max_skew,
-            assumed_delay_ns,
-            windows: None,
-        }
-    }
-
     /// Takes a stamp of the server and its time of arrival.
-    pub(crate) fn observe(&mut self, ticks: u64, receive_ns: u64) {
+    fn observe(&mut self, ticks: u64, receive_ns: u64) {
         let windows = self.windows.get_or_insert(Windows {
             origin: (ticks, receive_ns),
             began_ns: receive_ns,
@@ -315,17 +298,15 @@ impl MinDelay {
     }
 
     /// The local time at which the server's clock showed these ticks.
-    pub(crate) fn map(&self, ticks: u64) -> Option<Mapped> {
+    fn map(&self, ticks: u64) -> Option<CaptureTime> {
         let windows = self.windows?;
         let (origin_ticks, origin_ns) = windows.origin;
         let elapsed_ns = difference(ticks, origin_ticks) * self.ns_per_tick;
         let least_ns = windows.current_ns.min(windows.previous_ns);
         let local_ns = elapsed_ns + least_ns - self.assumed_delay_ns as f64;
         let drift_ns = self.max_skew * (2 * WINDOW_NS) as f64;
-        Some(Mapped {
-            local_ns: offset_by(origin_ns, local_ns),
-            uncertainty_ns: self.assumed_delay_ns.saturating_add(drift_ns as u64),
-        })
+        let uncertainty_ns = self.assumed_delay_ns.saturating_add(drift_ns as u64);
+        Some(captured(origin_ns, local_ns, uncertainty_ns, self.source))
     }
 }
 
@@ -334,7 +315,7 @@ const NS_PER_TICK: f64 = 1_000.0;
 /// What is known of a clock that stamps frames, and answers when it is asked or never does.
 #[derive(Clone, Debug)]
 pub(crate) struct StampClock {
-    echo: EchoClock,
+    pub(crate) echo: EchoClock,
     least: LeastDelay,
 }
 
@@ -359,13 +340,12 @@ impl LeastDelay {
         self.known = Some((origin, delay_ns.min(least_ns + drift_ns), receive_ns));
     }
 
-    fn map(&self, stamp_us: u64) -> Option<Mapped> {
+    fn map(&self, stamp_us: u64) -> Option<CaptureTime> {
         let ((origin_us, origin_ns), least_ns, _) = self.known?;
         let elapsed_ns = difference(stamp_us, origin_us) * NS_PER_TICK;
-        Some(Mapped {
-            local_ns: offset_by(origin_ns, elapsed_ns + least_ns - self.assumed_ns as f64),
-            uncertainty_ns: self.assumed_ns,
-        })
+        let local_ns = elapsed_ns + least_ns - self.assumed_ns as f64;
+        let source = CaptureTimeSource::FrameTimestamp;
+        Some(captured(origin_ns, local_ns, self.assumed_ns, source))
     }
 }
 
@@ -382,47 +362,15 @@ impl StampClock {
         }
     }
 
-    /// The number of exchanges that are in use.
-    pub(crate) const fn exchanges(&self) -> usize {
-        self.echo.len()
-    }
-
-    /// The server's clock showed `stamp_us` between two local times.
-    pub(crate) fn exchanged(&mut self, sent_ns: u64, received_ns: u64, stamp_us: u64) -> SampleUse {
-        self.echo.add(EchoSample {
-            sent_ns,
-            received_ns,
-            server_ticks: stamp_us,
-        })
-    }
-
     /// Learns from a frame, and returns when it was captured.
     pub(crate) fn capture(&mut self, stamp_us: u64, receive_ns: u64) -> Option<CaptureTime> {
         self.least.observe(stamp_us, receive_ns);
         let by_echo = self.echo.map(stamp_us);
-        let source = match by_echo {
-            Some(_) => CaptureTimeSource::MidExposureEcho,
-            None => CaptureTimeSource::FrameTimestamp,
-        };
-        let mapped = by_echo.or_else(|| self.least.map(stamp_us))?;
-        Some(captured(mapped, source))
+        by_echo.or_else(|| self.least.map(stamp_us))
     }
 }
 
-/// A time of the server on the local clock.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Mapped {
-    local_ns: u64,
-    pub(crate) uncertainty_ns: u64,
-}
-
 /// `to - from` of two readings of a wrapping counter, as a number.
-pub(crate) const fn difference(to: u64, from: u64) -> f64 {
+const fn difference(to: u64, from: u64) -> f64 {
     to.wrapping_sub(from).cast_signed() as f64
-}
-
-/// `base` moved by a number of nanoseconds, within the type's range.
-fn offset_by(base: u64, ns: f64) -> u64 {
-    // The conversion saturates.
-    base.saturating_add_signed(libm::round(ns) as i64)
 }

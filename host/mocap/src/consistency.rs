@@ -163,10 +163,9 @@ impl Consistency {
         if ahead == 0 && arrival.digest != last.digest {
             return Evidence::OtherSender;
         }
-        let Some(ns_per_tick) = self.ns_per_tick.filter(|_| last.ticks != 0) else {
-            return Evidence::Agrees;
-        };
-        let Some(ticks) = arrival.ticks.checked_sub(last.ticks) else {
+        let ns_per_tick = self.ns_per_tick.filter(|_| last.ticks != 0);
+        let ticks = arrival.ticks.checked_sub(last.ticks);
+        let (Some(ns_per_tick), Some(ticks)) = (ns_per_tick, ticks) else {
             return Evidence::Agrees;
         };
         let server_ns = ticks as f64 * ns_per_tick;

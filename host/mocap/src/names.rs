@@ -153,18 +153,15 @@ impl fmt::Display for BodyNames {
 impl Binding {
     /// Looks the name up among those of the server.
     pub fn resolve(bodies: &Names<'_>, name: &str) -> Self {
-        let (mut first, mut count) = (0, 0);
+        let (mut last, mut count) = (0, 0);
         bodies.for_each(&mut |id, other| {
             if other == name.as_bytes() {
-                if count == 0 {
-                    first = id;
-                }
-                count += 1;
+                (last, count) = (id, count + 1);
             }
         });
         match count {
             0 => Self::Missing,
-            1 => Self::Bound { id: first },
+            1 => Self::Bound { id: last },
             count => Self::Ambiguous { count },
         }
     }
@@ -199,10 +196,8 @@ pub(crate) const CONTROL: &[u8] = b"VRPN Control";
 
 impl Senders {
     pub(crate) const fn new(sensor: i32) -> Self {
-        Self {
-            names: heapless::Vec::new(),
-            sensor,
-        }
+        let names = heapless::Vec::new();
+        Self { names, sensor }
     }
 
     /// Takes a description. Returns whether it was news. The needed sender always has room.
@@ -213,23 +208,19 @@ impl Senders {
         // A name belongs to one number: the newest.
         self.names
             .retain(|(known, other)| *known == number || *other != name);
-        let known = self.names.iter().position(|(known, _)| *known == number);
-        match known.and_then(|index| self.names.get_mut(index)) {
-            Some((_, known)) if *known == name => false,
-            Some((_, known)) => {
-                *known = name;
-                true
-            }
-            None => {
-                if self.names.is_full() {
-                    if needed != Some(name.as_slice()) {
-                        return false;
-                    }
-                    self.names.pop();
-                }
-                self.names.push((number, name)).is_ok()
-            }
+        let mut names = self.names.iter_mut();
+        if let Some((_, known)) = names.find(|(known, _)| *known == number) {
+            let is_news = *known != name;
+            *known = name;
+            return is_news;
         }
+        if self.names.is_full() {
+            if needed != Some(name.as_slice()) {
+                return false;
+            }
+            self.names.pop();
+        }
+        self.names.push((number, name)).is_ok()
     }
 
     /// The name of a sender.

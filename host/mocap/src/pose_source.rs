@@ -436,10 +436,8 @@ impl Common {
 
     /// Reports that the stream of frames has become stale.
     pub(crate) fn notice_silence(&mut self, wake: &mut Wake<'_>) {
-        if self
-            .stale_due_ns()
-            .is_some_and(|due_ns| wake.now_ns >= due_ns)
-        {
+        let is_due = |due_ns| wake.now_ns >= due_ns;
+        if self.stale_due_ns().is_some_and(is_due) {
             self.is_stale = true;
             self.counters.stale += 1;
             wake.tell(SessionEvent::Stale);

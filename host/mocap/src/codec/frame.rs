@@ -118,27 +118,25 @@ impl<'a> Frame<'a> {
             let bones = reader.count(RigidBody::LEN, "bone count")?;
             RigidBody::skip(reader, bones, version)
         })?;
-        let labelled_marker_len = labelled_marker_len(version);
-        if version.has_assets() {
+        let marker_len = labelled_marker_len(version);
+        if version >= BitstreamVersion::V4_1 {
             (sections.assets, _) = reader.section(version, "asset count", 12, |reader| {
                 reader.i32("asset id")?;
                 let bodies = reader.count(RigidBody::LEN, "asset rigid body count")?;
                 RigidBody::skip(reader, bodies, version)?;
-                let markers = reader.count(labelled_marker_len, "asset marker count")?;
-                reader.skip(markers, labelled_marker_len, "asset markers")
+                let markers = reader.count(marker_len, "asset marker count")?;
+                reader.skip(markers, marker_len, "asset markers")
             })?;
         }
-        (sections.labelled_markers, _) = reader.section(
-            version,
-            "labelled marker count",
-            labelled_marker_len,
-            |reader| reader.skip(1, labelled_marker_len, "labelled marker"),
-        )?;
-        if version.has_force_plates() {
+        (sections.labelled_markers, _) =
+            reader.section(version, "labelled marker count", marker_len, |reader| {
+                reader.skip(1, marker_len, "labelled marker")
+            })?;
+        if version >= BitstreamVersion::V2_9 {
             (sections.force_plates, _) =
                 reader.section(version, "force plate count", 8, skip_analog_channels)?;
         }
-        if version.has_devices() {
+        if version >= BitstreamVersion::V2_11 {
             (sections.devices, _) =
                 reader.section(version, "device count", 8, skip_analog_channels)?;
         }
@@ -152,13 +150,12 @@ impl<'a> Frame<'a> {
             number,
             sections,
             rigid_bodies,
-            latency: match version.has_latency() {
-                true => Some(reader.f32("latency")?),
-                false => None,
-            },
+            latency: (version < BitstreamVersion::V3_0)
+                .then(|| reader.f32("latency"))
+                .transpose()?,
             timecode: [reader.u32("timecode")?, reader.u32("timecode subframe")?],
             timestamp_s: reader.f64("timestamp")?,
-            ticks: match version.has_camera_ticks() {
+            ticks: match version >= BitstreamVersion::V3_0 {
                 true => Some(CameraTicks {
                     mid_exposure: reader.u64("mid-exposure ticks")?,
                     received: reader.u64("received ticks")?,
@@ -166,7 +163,7 @@ impl<'a> Frame<'a> {
                 }),
                 false => None,
             },
-            precision_time: match version.has_precision_time() {
+            precision_time: match version >= BitstreamVersion::V4_1 {
                 true => Some(PrecisionTime {
                     seconds: reader.u32("precision seconds")?,
                     fraction: reader.u32("precision fraction")?,
@@ -191,9 +188,10 @@ impl<'a> Frame<'a> {
     }
 }
 
-const fn labelled_marker_len(version: BitstreamVersion) -> usize {
+fn labelled_marker_len(version: BitstreamVersion) -> usize {
     // id, position, size, parameters; then the residual.
-    4 + 12 + 4 + 2 + if version.has_marker_residual() { 4 } else { 0 }
+    let residual = usize::from(version >= BitstreamVersion::V3_0);
+    4 + 12 + 4 + 2 + 4 * residual
 }
 
 /// Force plates and devices: an id, then channels of samples.
@@ -219,7 +217,7 @@ impl<'a> Reader<'a> {
     ) -> Result<(usize, Reader<'a>), DecodeError> {
         let offset = self.offset();
         let count = self.length(field)?;
-        let sized = version.has_section_sizes();
+        let sized = version >= BitstreamVersion::V4_1;
         let body = if sized {
             self.sized("section size")?
         } else {
@@ -281,11 +279,10 @@ impl RigidBody {
     /// This body with the tracking bit set or cleared.
     #[must_use]
     pub const fn with_tracking_valid(mut self, valid: bool) -> Self {
-        self.params = if valid {
-            self.params | TRACKING_VALID
-        } else {
-            self.params & !TRACKING_VALID
-        };
+        self.params &= !TRACKING_VALID;
+        if valid {
+            self.params |= TRACKING_VALID;
+        }
         self
     }
 
@@ -301,7 +298,7 @@ impl RigidBody {
         let id = reader.i32("rigid body id")?;
         let position_m = reader.f32s("rigid body position")?;
         let orientation_xyzw = reader.f32s("rigid body orientation")?;
-        if version.has_markers_in_bodies() {
+        if version < BitstreamVersion::V3_0 {
             let markers = reader.count(BODY_MARKER_LEN, "rigid body marker count")?;
             reader.skip(markers, BODY_MARKER_LEN, "rigid body markers")?;
         }
@@ -320,14 +317,10 @@ impl RigidBody {
         count: usize,
         version: BitstreamVersion,
     ) -> Result<(), DecodeError> {
-        if version.has_markers_in_bodies() {
-            for _ in 0..count {
-                Self::read(reader, version)?;
-            }
-            Ok(())
-        } else {
-            reader.skip(count, Self::LEN, "rigid bodies")
+        if version >= BitstreamVersion::V3_0 {
+            return reader.skip(count, Self::LEN, "rigid bodies");
         }
+        (0..count).try_for_each(|_| Self::read(reader, version).map(drop))
     }
 }
 

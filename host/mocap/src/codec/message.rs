@@ -215,7 +215,7 @@ impl<'a> ServerInfo<'a> {
     ///
     /// # Errors
     /// The bitstream is not supported.
-    pub const fn bitstream(&self) -> Result<BitstreamVersion, UnsupportedVersion> {
+    pub fn bitstream(&self) -> Result<BitstreamVersion, UnsupportedVersion> {
         BitstreamVersion::from_wire(self.natnet_version)
     }
 }

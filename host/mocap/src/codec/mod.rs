@@ -54,7 +54,14 @@ impl BitstreamVersion {
     pub const V2_7: Self = Self { major: 2, minor: 7 };
     /// Motive 1.9. Adds force plates.
     pub const V2_9: Self = Self { major: 2, minor: 9 };
-    /// Motive 2.0. Adds mid-exposure time; drops markers inside rigid bodies.
+    /// Adds devices.
+    pub const V2_11: Self = Self {
+        major: 2,
+        minor: 11,
+    };
+    /// Motive 2.0. Adds the camera clock's ticks to frames and its frequency to the server
+    /// information, residuals to markers, and markers to rigid-body definitions; drops latency, and
+    /// markers inside rigid bodies.
     pub const V3_0: Self = Self { major: 3, minor: 0 };
     /// Motive 2.1 to 2.3.
     pub const V3_1: Self = Self { major: 3, minor: 1 };
@@ -73,20 +80,19 @@ impl BitstreamVersion {
     ///
     /// # Errors
     /// Outside [`OLDEST`](Self::OLDEST) to [`NEWEST`](Self::NEWEST).
-    pub const fn new(major: u8, minor: u8) -> Result<Self, UnsupportedVersion> {
+    pub fn new(major: u8, minor: u8) -> Result<Self, UnsupportedVersion> {
         let version = Self { major, minor };
-        if Self::OLDEST.is_at_most(version) && version.is_at_most(Self::NEWEST) {
-            Ok(version)
-        } else {
-            Err(UnsupportedVersion { major, minor })
-        }
+        let is_read = (Self::OLDEST..=Self::NEWEST).contains(&version);
+        is_read
+            .then_some(version)
+            .ok_or(UnsupportedVersion { major, minor })
     }
 
     /// The version in the four bytes `major, minor, build, revision` of the wire.
     ///
     /// # Errors
     /// Those of [`new`](Self::new).
-    pub const fn from_wire(bytes: [u8; 4]) -> Result<Self, UnsupportedVersion> {
+    pub fn from_wire(bytes: [u8; 4]) -> Result<Self, UnsupportedVersion> {
         let [major, minor, _, _] = bytes;
         Self::new(major, minor)
     }
@@ -104,65 +110,6 @@ impl BitstreamVersion {
     /// The second number.
     pub const fn minor(self) -> u8 {
         self.minor
-    }
-
-    const fn is_at_most(self, other: Self) -> bool {
-        self.major < other.major || (self.major == other.major && self.minor <= other.minor)
-    }
-
-    const fn at_least(self, major: u8, minor: u8) -> bool {
-        Self { major, minor }.is_at_most(self)
-    }
-
-    pub(crate) const fn has_force_plates(self) -> bool {
-        self.at_least(2, 9)
-    }
-
-    pub(crate) const fn has_devices(self) -> bool {
-        self.at_least(2, 11)
-    }
-
-    /// Before 3.0 every rigid body of a frame repeated its markers.
-    pub(crate) const fn has_markers_in_bodies(self) -> bool {
-        !self.at_least(3, 0)
-    }
-
-    pub(crate) const fn has_latency(self) -> bool {
-        !self.at_least(3, 0)
-    }
-
-    pub(crate) const fn has_marker_residual(self) -> bool {
-        self.at_least(3, 0)
-    }
-
-    /// Whether frames carry mid-exposure, received and transmit ticks, and the
-    /// server information the clock's frequency.
-    pub const fn has_camera_ticks(self) -> bool {
-        self.at_least(3, 0)
-    }
-
-    pub(crate) const fn has_definition_markers(self) -> bool {
-        self.at_least(3, 0)
-    }
-
-    pub(crate) const fn has_definition_marker_names(self) -> bool {
-        self.at_least(4, 0)
-    }
-
-    pub(crate) const fn has_definition_rotation(self) -> bool {
-        self.at_least(4, 2)
-    }
-
-    pub(crate) const fn has_assets(self) -> bool {
-        self.at_least(4, 1)
-    }
-
-    pub(crate) const fn has_section_sizes(self) -> bool {
-        self.at_least(4, 1)
-    }
-
-    pub(crate) const fn has_precision_time(self) -> bool {
-        self.at_least(4, 1)
     }
 }
 

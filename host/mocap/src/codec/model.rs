@@ -55,7 +55,11 @@ impl<'a> ModelDefinitions<'a> {
         version: BitstreamVersion,
     ) -> Result<Self, DecodeError> {
         let mut reader = packet.reader();
-        let header_len = if version.has_section_sizes() { 8 } else { 4 };
+        let header_len = if version >= BitstreamVersion::V4_1 {
+            8
+        } else {
+            4
+        };
         let dataset_count = reader.count(header_len, "dataset count")?;
         let rigid_bodies = RigidBodyDefinitions {
             reader,
@@ -88,23 +92,20 @@ impl<'a> RigidBodyDefinitions<'a> {
         let version = self.version;
         let offset = self.reader.offset();
         let type_id = self.reader.i32("dataset type")?;
-        if version.has_section_sizes() {
+        if version >= BitstreamVersion::V4_1 {
             let mut body = self.reader.sized("dataset size")?;
             if type_id != dataset::RIGID_BODY {
                 return Ok(None);
             }
-            let read = read_rigid_body(&mut body, version).and_then(|definition| {
-                body.finish("the rigid body definition")?;
-                Ok(definition)
-            });
-            return match read {
-                Ok(definition) => Ok(Some(definition)),
-                // One that nobody needs must not take the others along.
-                Err(error) => {
-                    self.unreadable.get_or_insert(error);
-                    Ok(None)
-                }
-            };
+            let mut read = read_rigid_body(&mut body, version);
+            if let Err(error) = body.finish("the rigid body definition") {
+                read = read.and(Err(error));
+            }
+            // One that nobody needs must not take the others along.
+            if let Err(error) = read {
+                self.unreadable.get_or_insert(error);
+            }
+            return Ok(read.ok());
         }
         let reader = &mut self.reader;
         match type_id {
@@ -116,8 +117,7 @@ impl<'a> RigidBodyDefinitions<'a> {
             dataset::SKELETON => {
                 reader.c_bytes("skeleton name")?;
                 reader.i32("skeleton id")?;
-                let bones = reader.count(21, "bone count")?;
-                for _ in 0..bones {
+                for _ in 0..reader.count(21, "bone count")? {
                     read_rigid_body(reader, version)?;
                 }
             }
@@ -177,14 +177,14 @@ fn read_rigid_body<'a>(
         parent_id: reader.i32("rigid body parent")?,
         offset_m: reader.f32s("rigid body offset")?,
     };
-    if version.has_definition_rotation() {
+    if version >= BitstreamVersion::V4_2 {
         reader.skip(4, 4, "rigid body rotation")?;
     }
-    if version.has_definition_markers() {
+    if version >= BitstreamVersion::V3_0 {
         // Position and label of each, then the names.
         let markers = reader.count(12 + 4, "definition marker count")?;
         reader.skip(markers, 12 + 4, "definition markers")?;
-        if version.has_definition_marker_names() {
+        if version >= BitstreamVersion::V4_0 {
             for _ in 0..markers {
                 reader.c_bytes("definition marker name")?;
             }
@@ -195,8 +195,5 @@ fn read_rigid_body<'a>(
 
 fn skip_names(reader: &mut Reader<'_>, field: &'static str) -> Result<(), DecodeError> {
     let names = reader.count(1, field)?;
-    for _ in 0..names {
-        reader.c_bytes("name")?;
-    }
-    Ok(())
+    (0..names).try_for_each(|_| reader.c_bytes("name").map(drop))
 }

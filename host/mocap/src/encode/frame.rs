@@ -62,89 +62,64 @@ pub fn frame(
 ) -> Result<usize, EncodeError> {
     let mut writer = Writer::message(out, MessageId::Frame);
     writer.i32(content.number, "frame number");
-    let mut sections = Sections {
-        writer: &mut writer,
+    writer.section(
         version,
-    };
-    sections.section(content.marker_sets, "marker sets", |writer, set| {
-        writer.c_bytes(set.name.as_bytes(), "marker set name");
-        writer.count(set.markers_m.len(), "marker count");
-        writer.f32s(set.markers_m.as_flattened(), "marker");
-    });
-    sections.empty("other markers");
-    sections.section(content.rigid_bodies, "rigid bodies", |writer, body| {
+        content.marker_sets,
+        "marker sets",
+        |writer, set| {
+            writer.c_bytes(set.name.as_bytes(), "marker set name");
+            writer.count(set.markers_m.len(), "marker count");
+            writer.f32s(set.markers_m.as_flattened(), "marker");
+        },
+    );
+    writer.empty(version, "other markers");
+    let bodies = content.rigid_bodies;
+    writer.section(version, bodies, "rigid bodies", |writer, body| {
         writer.i32(body.id, "rigid body id");
         writer.f32s(&body.position_m, "rigid body position");
         writer.f32s(&body.orientation_xyzw, "rigid body orientation");
-        if version.has_markers_in_bodies() {
+        if version < BitstreamVersion::V3_0 {
             writer.count(0, "rigid body marker count");
         }
         writer.f32(body.mean_error_m, "rigid body mean error");
         writer.u16(body.params, "rigid body parameters");
     });
-    sections.empty("skeletons");
-    if version.has_assets() {
-        sections.empty("assets");
+    writer.empty(version, "skeletons");
+    if version >= BitstreamVersion::V4_1 {
+        writer.empty(version, "assets");
     }
-    let labelled_markers = content.labelled_markers;
-    sections.section(labelled_markers, "labelled markers", |writer, marker| {
+    let labelled = content.labelled_markers;
+    writer.section(version, labelled, "labelled markers", |writer, marker| {
         writer.i32(marker.id, "labelled marker id");
         writer.f32s(&marker.position_m, "labelled marker position");
         writer.f32(marker.size_m, "labelled marker size");
         writer.u16(marker.params, "labelled marker parameters");
-        if version.has_marker_residual() {
+        if version >= BitstreamVersion::V3_0 {
             writer.f32(marker.residual_m, "labelled marker residual");
         }
     });
-    if version.has_force_plates() {
-        sections.empty("force plates");
+    if version >= BitstreamVersion::V2_9 {
+        writer.empty(version, "force plates");
     }
-    if version.has_devices() {
-        sections.empty("devices");
+    if version >= BitstreamVersion::V2_11 {
+        writer.empty(version, "devices");
     }
-    if version.has_latency() {
+    if version < BitstreamVersion::V3_0 {
         writer.f32(content.latency, "latency");
     }
     writer.u64(0, "timecode");
     writer.bytes(&content.timestamp_s.to_le_bytes(), "timestamp");
-    if version.has_camera_ticks() {
+    if version >= BitstreamVersion::V3_0 {
         writer.u64(content.ticks.mid_exposure, "mid-exposure ticks");
         writer.u64(content.ticks.received, "received ticks");
         writer.u64(content.ticks.transmit, "transmit ticks");
     }
-    if version.has_precision_time() {
+    if version >= BitstreamVersion::V4_1 {
         writer.u64(0, "precision time");
     }
     writer.u16(content.flags.0, "frame flags");
     writer.i32(0, "end tag");
     writer.finish()
-}
-
-/// Writes the sections of a frame.
-struct Sections<'w, 'a> {
-    writer: &'w mut Writer<'a>,
-    version: BitstreamVersion,
-}
-
-impl<'a> Sections<'_, 'a> {
-    fn section<T>(
-        &mut self,
-        entries: &[T],
-        field: &'static str,
-        write: impl Fn(&mut Writer<'a>, &T),
-    ) {
-        self.writer.count(entries.len(), field);
-        let sized = self.version.has_section_sizes();
-        let slot = sized.then(|| self.writer.size_slot(field));
-        entries.iter().for_each(|entry| write(self.writer, entry));
-        if let Some(slot) = slot {
-            self.writer.fill(slot, field);
-        }
-    }
-
-    fn empty(&mut self, field: &'static str) {
-        self.section::<()>(&[], field, |_, ()| {});
-    }
 }
 
 /// Writes a message. [`finish`](Self::finish) returns the first error; nothing is written after it.
@@ -253,14 +228,37 @@ impl<'a> Writer<'a> {
         self.bytes(&padded, field);
     }
 
-    /// Leaves room for the size of the part that follows, and returns the part's place.
-    pub(super) fn size_slot(&mut self, field: &'static str) -> usize {
-        self.i32(0, field);
-        self.len
+    /// Writes one section of a frame.
+    fn section<T>(
+        &mut self,
+        version: BitstreamVersion,
+        entries: &[T],
+        field: &'static str,
+        write: impl Fn(&mut Self, &T),
+    ) {
+        self.count(entries.len(), field);
+        self.sized(version, field, |writer| {
+            entries.iter().for_each(|entry| write(writer, entry));
+        });
     }
 
-    /// Fills in the size of the part that begins at `start`, by [`size_slot`](Self::size_slot).
-    pub(super) fn fill(&mut self, start: usize, field: &'static str) {
+    fn empty(&mut self, version: BitstreamVersion, field: &'static str) {
+        self.section::<()>(version, &[], field, |_, ()| {});
+    }
+
+    /// Writes a part, before it its size if the version has one.
+    pub(super) fn sized(
+        &mut self,
+        version: BitstreamVersion,
+        field: &'static str,
+        write: impl FnOnce(&mut Self),
+    ) {
+        if version < BitstreamVersion::V4_1 {
+            return write(self);
+        }
+        self.i32(0, field);
+        let start = self.len;
+        write(self);
         let value = self.len.saturating_sub(start);
         let before = self.out.get_mut(..start);
         let slot = before.and_then(|before| before.last_chunk_mut());

@@ -172,12 +172,9 @@ pub fn model_definitions(
     writer.count(datasets.len(), "dataset count");
     for dataset in datasets {
         writer.i32(dataset.type_id(), "dataset type");
-        let sized = version.has_section_sizes();
-        let slot = sized.then(|| writer.size_slot("dataset size"));
-        dataset.write(&mut writer, version);
-        if let Some(slot) = slot {
-            writer.fill(slot, "dataset size");
-        }
+        writer.sized(version, "dataset size", |writer| {
+            dataset.write(writer, version);
+        });
     }
     writer.finish()
 }
@@ -197,10 +194,10 @@ impl Dataset<'_> {
                 writer.i32(definition.id, "rigid body id");
                 writer.i32(definition.parent_id, "rigid body parent");
                 writer.f32s(&definition.offset_m, "rigid body offset");
-                if version.has_definition_rotation() {
+                if version >= BitstreamVersion::V4_2 {
                     writer.f32s(&[0.0, 0.0, 0.0, 1.0], "rigid body rotation");
                 }
-                if version.has_definition_markers() {
+                if version >= BitstreamVersion::V3_0 {
                     writer.count(0, "definition marker count");
                 }
             }

@@ -92,10 +92,9 @@ impl PlanarTracker {
     /// What a frame says of the body.
     pub fn observe(&mut self, frame: &PoseFrame<'_>) -> Observation {
         self.state = self.state_in(frame);
-        self.neighbour = self
-            .binding
-            .id()
-            .and_then(|id| Neighbour::of(id, frame, self.gate.place_m()));
+        let place_m = self.gate.place_m();
+        let neighbour = |id| Neighbour::of(id, frame, place_m);
+        self.neighbour = self.binding.id().and_then(neighbour);
         Observation {
             frame_number: frame.number,
             receive_time_ns: frame.receive_time_ns,
@@ -115,13 +114,11 @@ impl PlanarTracker {
         if let BodyState::Tracked(pose) = &body.state {
             self.level = Some(Level::of(pose, frame.up_axis()));
         }
-        let candidate = match body.state {
-            BodyState::Untracked => {
-                self.counters.untracked += 1;
-                return PoseState::Untracked;
-            }
-            state => self.candidate(state, frame),
-        };
+        if body.state == BodyState::Untracked {
+            self.counters.untracked += 1;
+            return PoseState::Untracked;
+        }
+        let candidate = self.candidate(body.state, frame);
         let state = self.gate.judge_candidate(candidate);
         match state {
             PoseState::Rejected(reason) => self.counters.rejected.count(reason),
@@ -141,17 +138,14 @@ impl PlanarTracker {
         state: BodyState,
         frame: &PoseFrame<'_>,
     ) -> Result<PlanarPose, RejectReason> {
-        if matches!(state, BodyState::Invalid(InvalidBody::DuplicateId)) {
-            return Err(RejectReason::DuplicateId);
-        }
-        let capture = frame.capture.ok_or(RejectReason::CaptureTime)?;
-        let BodyState::Tracked(pose) = state else {
-            return Err(match state {
-                BodyState::Invalid(InvalidBody::NotUnitQuaternion) => {
-                    RejectReason::NotUnitQuaternion
-                }
-                _ => RejectReason::NotFinite,
-            });
+        let capture = frame.capture.ok_or(RejectReason::CaptureTime);
+        let (pose, capture) = match state {
+            BodyState::Tracked(pose) => (pose, capture?),
+            BodyState::Invalid(InvalidBody::DuplicateId) => return Err(RejectReason::DuplicateId),
+            BodyState::Invalid(InvalidBody::NotUnitQuaternion) => {
+                return capture.and(Err(RejectReason::NotUnitQuaternion));
+            }
+            _ => return capture.and(Err(RejectReason::NotFinite)),
         };
         if pose.mean_error_m > self.limits.max_mean_error_m {
             return Err(RejectReason::MeanError);
@@ -210,24 +204,21 @@ impl PoseGate {
         let Some(last_valid) = self.last_valid else {
             return self.accept(pose, true);
         };
-        match self.follows(&last_valid, &pose) {
-            Ok(()) => self.accept(pose, self.is_locked_out()),
-            Err(reason) => {
-                let consistent = self
-                    .last_implausible
-                    .is_some_and(|last| self.follows(&last, &pose).is_ok());
-                if !(consistent && self.is_locked_out()) {
-                    self.consistent = 0;
-                } else {
-                    self.consistent += 1;
-                    if self.consistent >= self.limits.max_consecutive_rejects {
-                        return self.accept(pose, true);
-                    }
-                }
-                self.last_implausible = Some(pose);
-                self.reject(reason)
-            }
+        let Err(reason) = self.follows(&last_valid, &pose) else {
+            return self.accept(pose, self.is_locked_out());
+        };
+        let follows = |last| self.follows(&last, &pose).is_ok();
+        let is_consistent = self.last_implausible.is_some_and(follows) && self.is_locked_out();
+        self.consistent = if is_consistent {
+            self.consistent + 1
+        } else {
+            0
+        };
+        if is_consistent && self.consistent >= self.limits.max_consecutive_rejects {
+            return self.accept(pose, true);
         }
+        self.last_implausible = Some(pose);
+        self.reject(reason)
     }
 
     const fn is_locked_out(&self) -> bool {
@@ -356,16 +347,14 @@ impl OtherBody {
         id: i32,
         frame: &'a PoseFrame<'_>,
     ) -> impl Iterator<Item = Self> + use<'a> {
-        let others = move |capture_time_ns| {
-            let others = frame.bodies().filter(move |body| body.id != id);
-            others.map(move |body| Self {
+        let others = frame.bodies().filter(move |body| body.id != id);
+        others.filter_map(move |body| {
+            Some(Self {
                 id: body.id,
-                capture_time_ns,
+                capture_time_ns: frame.capture?.time_ns,
                 position_m: tracked_m(body.state).map(|[x_m, y_m, _]| [x_m, y_m]),
             })
-        };
-        let capture = frame.capture.map(|capture| capture.time_ns);
-        capture.into_iter().flat_map(others)
+        })
     }
 }
 

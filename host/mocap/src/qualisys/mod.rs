@@ -16,7 +16,7 @@ use crate::{
     body::{Body, BodyState},
     config::SessionConfig,
     names::Names,
-    pose_source::{Output, SessionEvent},
+    pose_source::{LocalEnd, Output, SessionEvent},
     stream::{Broken, Dialogue, Incoming, LastFrame, Link, Over, StreamSession},
 };
 
@@ -144,24 +144,20 @@ impl QualisysDialogue {
         };
         self.stream_due_ns = with.now_ns.saturating_add(STREAM_AGAIN_NS);
         let number = frame.number.cast_signed();
-        let is_newest = with
-            .link
-            .is_newest(&mut self.last, frame.stamp_us, Some(number));
-        if !is_newest {
+        let (link, last) = (&mut *with.link, &mut self.last);
+        if !link.is_newest(last, frame.stamp_us, Some(number)) {
             return;
         }
         let mut bodies = heapless::Vec::<Body, BODIES>::new();
         for (id, body) in (0..).zip(frame.bodies()).take(BODIES) {
-            let state = state(&body, with.link);
+            let state = state(&body, link);
             // At most as many as there is room for.
             let _ = bodies.push(Body { id, state });
         }
         self.framed = Some(bodies.len());
         // A body was added or removed: the places in the list mean others.
-        if self
-            .listed
-            .is_some_and(|listed| listed.min(BODIES) != bodies.len())
-        {
+        let differs = |listed: usize| listed.min(BODIES) != bodies.len();
+        if self.listed.is_some_and(differs) {
             self.listed = None;
             self.names_incomplete();
             (with.on_output)(Output::Event(SessionEvent::DefinitionsOutdated));
@@ -247,17 +243,14 @@ impl Dialogue for QualisysDialogue {
         }
         if now_ns >= self.stream_due_ns {
             self.stream_due_ns = now_ns.saturating_add(STREAM_AGAIN_NS);
-            let mut text = heapless::String::<64>::new();
-            let _ = match link.local {
-                Some(local) if !link.over_stream => {
-                    let port = local.datagram_port;
-                    write!(text, "StreamFrames AllFrames UDP:{port} 6DRes")
+            match link.local {
+                Some(LocalEnd { datagram_port, .. }) if !link.over_stream => {
+                    let mut text = heapless::String::<64>::new();
+                    let _ = write!(text, "StreamFrames AllFrames UDP:{datagram_port} 6DRes");
+                    self.say(&text, link);
                 }
-                _ => text
-                    .push_str("StreamFrames AllFrames 6DRes")
-                    .map_err(|_| core::fmt::Error),
-            };
-            self.say(&text, link);
+                _ => self.say("StreamFrames AllFrames 6DRes", link),
+            }
             // Also a sign of life, where nothing is measured.
             self.names_due_ns = self.names_due_ns.min(self.stream_due_ns);
         }

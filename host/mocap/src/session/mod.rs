@@ -9,9 +9,7 @@ mod transmit;
 use self::transmit::{BITSTREAM_ATTEMPTS, CLIENT_NAME, Schedule};
 use crate::{
     clock::CaptureClock,
-    codec::{
-        BitstreamVersion, ClientMessage, Connect, Connection, DecodeError, UnsupportedVersion,
-    },
+    codec::{ClientMessage, Connect, Connection, DecodeError},
     config::{SessionConfig, SessionConfigError, Transport},
     consistency::{Consistency, Sequence},
     pose_source::{Common, Input, Output, Phase, PoseSource, RestartReason, Transmit, Wake},
@@ -71,7 +69,6 @@ pub struct Session {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Server {
     natnet_version: [u8; 4],
-    native: Result<BitstreamVersion, UnsupportedVersion>,
     connection: Option<Connection>,
 }
 
@@ -163,35 +160,29 @@ impl PoseSource for Session {
     }
 
     fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
-        let retry_ns = self.common.config.timing.retry_ns;
+        let has_asked = self.schedule.bitstream_attempts >= BITSTREAM_ATTEMPTS;
         match self.common.phase {
             Phase::Closed | Phase::Open | Phase::Foreign => None,
             Phase::Closing => {
                 self.common.phase = Phase::Closed;
                 self.transmit(&ClientMessage::Disconnect)
             }
+            Phase::Streaming(_) => self.poll_streaming(now_ns),
+            _ if now_ns < self.schedule.handshake_ns => None,
             Phase::Connecting | Phase::Refused(_) => {
-                if now_ns < self.schedule.handshake_ns {
-                    return None;
-                }
-                self.schedule.handshake_ns = now_ns.saturating_add(retry_ns);
+                self.try_later(now_ns);
                 self.transmit(&ClientMessage::Connect(Connect {
                     name: CLIENT_NAME,
                     // Requested as a text, which is answered.
                     requested_bitstream: None,
                 }))
             }
+            Phase::Negotiating(_) if has_asked => None,
             Phase::Negotiating(requested) => {
-                if now_ns < self.schedule.handshake_ns
-                    || self.schedule.bitstream_attempts >= BITSTREAM_ATTEMPTS
-                {
-                    return None;
-                }
                 self.schedule.bitstream_attempts += 1;
-                self.schedule.handshake_ns = now_ns.saturating_add(retry_ns);
+                self.try_later(now_ns);
                 self.bitstream_request(requested)
             }
-            Phase::Streaming(_) => self.poll_streaming(now_ns),
         }
     }
 
@@ -203,16 +194,12 @@ impl PoseSource for Session {
                 let stale_ns = self.common.stale_due_ns().unwrap_or(u64::MAX);
                 Some(self.schedule.handshake_ns.min(stale_ns))
             }
-            Phase::Streaming(_) => [
-                Some(self.schedule.models_ns),
-                self.echo_due_ns(),
-                self.keep_alive_due_ns(),
-                self.common.stale_due_ns(),
-                Some(self.silence_due_ns()),
-            ]
-            .into_iter()
-            .flatten()
-            .min(),
+            Phase::Streaming(_) => {
+                let due_ns = self.schedule.models_ns.min(self.silence_due_ns());
+                let (echo_ns, stale_ns) = (self.echo_due_ns(), self.common.stale_due_ns());
+                let some_ns = [echo_ns, self.keep_alive_due_ns(), stale_ns];
+                some_ns.into_iter().flatten().chain([due_ns]).min()
+            }
         }
     }
 

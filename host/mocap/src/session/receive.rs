@@ -45,7 +45,6 @@ impl Session {
     fn server_info(&mut self, info: &ServerInfo<'_>, wake: &mut Wake<'_>) -> bool {
         let server = Server {
             natnet_version: info.natnet_version,
-            native: info.bitstream(),
             connection: info.connection,
         };
         match self.common.phase {
@@ -61,19 +60,15 @@ impl Session {
             }
         }
         self.server = Some(server);
-        let frequency = info
-            .connection
-            .and_then(|connection| connection.ticks_per_second);
+        let frequency = info.connection.and_then(|known| known.ticks_per_second);
         self.clock = CaptureClock::new(frequency, &self.common.config.timing);
         self.sequence = Sequence::default();
         self.consistency = Consistency::new(frequency);
-        let multicast = matches!(self.common.config.transport, Transport::Multicast);
+        let server_multicast = !matches!(self.common.config.transport, Transport::Multicast);
         if let Some(connection) = info.connection
-            && connection.data_channel.multicast != multicast
+            && connection.data_channel.multicast == server_multicast
         {
-            wake.tell(SessionEvent::TransportMismatch {
-                server_multicast: !multicast,
-            });
+            wake.tell(SessionEvent::TransportMismatch { server_multicast });
         }
         match self.bitstream_to_request(server) {
             Some(requested) => {
@@ -101,14 +96,14 @@ impl Session {
         let Some(server) = self.server else {
             return;
         };
-        if let Ok(kept) = server.native {
+        if let Ok(kept) = BitstreamVersion::from_wire(server.natnet_version) {
             wake.tell(SessionEvent::BitstreamKept { requested, kept });
         }
         self.take_native(server, wake);
     }
 
     fn take_native(&mut self, server: Server, wake: &mut Wake<'_>) {
-        match server.native {
+        match BitstreamVersion::from_wire(server.natnet_version) {
             Ok(version) => self.begin_streaming(version, wake),
             Err(unsupported) => {
                 self.common.phase = Phase::Refused(unsupported);
@@ -119,7 +114,7 @@ impl Session {
     }
 
     /// The handshake goes on after a pause.
-    fn try_later(&mut self, now_ns: u64) {
+    pub(super) fn try_later(&mut self, now_ns: u64) {
         let retry_ns = self.common.config.timing.retry_ns;
         self.schedule.handshake_ns = now_ns.saturating_add(retry_ns);
     }
@@ -131,7 +126,7 @@ impl Session {
         wake.tell(SessionEvent::Connected(Connected {
             version,
             data_port: connection.map(|connection| connection.data_channel.port),
-            has_camera_clock: version.has_camera_ticks()
+            has_camera_clock: version >= BitstreamVersion::V3_0
                 && connection.is_some_and(|connection| connection.ticks_per_second.is_some()),
         }));
     }
@@ -255,15 +250,15 @@ impl Session {
             received_ns: wake.now_ns,
             server_ticks: echo.server_ticks,
         };
-        let counters = &mut self.common.counters;
-        match self.clock.echo_mut().map(|clock| clock.add(sample)) {
-            Some(SampleUse::Agreed) => counters.echoes += 1,
-            Some(SampleUse::Stepped) => {
-                counters.echoes += 1;
-                counters.clock_steps += 1;
+        let Some(clock) = &mut self.clock.echo else {
+            return false;
+        };
+        match clock.add(sample) {
+            SampleUse::Backward => self.restart(RestartReason::ClockBackward, wake),
+            used => {
+                self.common.counters.echoes += 1;
+                self.common.counters.clock_steps += u64::from(used == SampleUse::Stepped);
             }
-            Some(SampleUse::Backward) => self.restart(RestartReason::ClockBackward, wake),
-            None => return false,
         }
         true
     }
@@ -284,14 +279,8 @@ impl Session {
         match order {
             Order::Newest { lost } => counters.lost += lost,
             Order::Renumbered => counters.renumbered += 1,
-            Order::Duplicate => {
-                counters.duplicates += 1;
-                return;
-            }
-            Order::Late => {
-                counters.late += 1;
-                return;
-            }
+            Order::Duplicate => return counters.duplicates += 1,
+            Order::Late => return counters.late += 1,
             Order::Restarted => {
                 counters.late += 1;
                 return self.restart(RestartReason::FramesBackward, wake);
@@ -328,8 +317,8 @@ impl Session {
             self.forget_definitions(wake);
             self.schedule.models_by(wake.now_ns);
         } else if changed {
-            self.schedule
-                .models_by(wake.now_ns.saturating_add(MODELS_CHANGED_NS));
+            let later_ns = wake.now_ns.saturating_add(MODELS_CHANGED_NS);
+            self.schedule.models_by(later_ns);
         }
         self.models_changed = changed;
     }

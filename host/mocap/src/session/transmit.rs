@@ -2,6 +2,7 @@
 
 use super::Session;
 use crate::{
+    clock::EchoClock,
     codec::{BitstreamVersion, ClientMessage},
     encode,
     pose_source::Transmit,
@@ -94,7 +95,7 @@ impl Session {
         if let Some(due_ns) = self.echo_due_ns()
             && now_ns >= due_ns
         {
-            let exchanges = self.clock.echo_mut().map_or(0, |echo| echo.len());
+            let exchanges = self.clock.echo.as_ref().map_or(0, EchoClock::len);
             let interval_ns = if exchanges < QUICK_ECHOES {
                 QUICK_ECHO_NS.min(timing.echo_ns)
             } else {
@@ -102,13 +103,12 @@ impl Session {
             };
             self.schedule.echo_ns = now_ns.saturating_add(interval_ns);
             self.echo_stamp = Some(now_ns);
-            return self.transmit(&ClientMessage::EchoRequest {
-                client_stamp: now_ns,
-            });
+            let client_stamp = now_ns;
+            return self.transmit(&ClientMessage::EchoRequest { client_stamp });
         }
         if now_ns >= self.schedule.models_ns {
-            self.schedule
-                .models_requested(now_ns, timing.model_poll_ns, self.definitions_current);
+            let (poll_ns, are_current) = (timing.model_poll_ns, self.definitions_current);
+            self.schedule.models_requested(now_ns, poll_ns, are_current);
             return self.transmit(&ClientMessage::RequestModelDefinitions);
         }
         if let Some(due_ns) = self.keep_alive_due_ns()
@@ -128,18 +128,15 @@ impl Session {
     }
 
     pub(super) fn transmit(&self, message: &ClientMessage<'_>) -> Option<Transmit> {
-        let mut transmit = Transmit {
+        let mut bytes = heapless::Vec::new();
+        // Every message of a session fits; one that did not would not be sent.
+        bytes.resize_default(bytes.capacity()).ok()?;
+        let len = encode::client_message(message, &mut bytes).ok()?;
+        bytes.truncate(len);
+        Some(Transmit {
             destination: self.common.server(),
             on_stream: false,
-            bytes: heapless::Vec::new(),
-        };
-        // Every message of a session fits; one that did not would not be sent.
-        transmit
-            .bytes
-            .resize_default(transmit.bytes.capacity())
-            .ok()?;
-        let len = encode::client_message(message, &mut transmit.bytes).ok()?;
-        transmit.bytes.truncate(len);
-        Some(transmit)
+            bytes,
+        })
     }
 }

@@ -8,7 +8,7 @@ mod session;
 
 use crate::{
     body::{Bodies, BodiesOf, Body, CaptureTime},
-    clock::{SampleUse, StampClock},
+    clock::{EchoSample, SampleUse, StampClock},
     codec::FrameFlags,
     config::{SessionConfig, Transport},
     pose_source::{Common, LocalEnd, Output, Phase, PoseFrame, RestartReason, SessionEvent, Wake},
@@ -176,26 +176,19 @@ impl Link {
         }
     }
 
-    /// Whether the stream is open and the server has not shown that it speaks the protocol.
-    fn is_mute(&self) -> bool {
-        self.local.is_some() && self.common.phase != Phase::Open
-    }
-
+    /// The number of exchanges that are in use.
     pub(crate) const fn exchanges(&self) -> usize {
-        self.clock.exchanges()
+        self.clock.echo.len()
     }
 
-    /// The server's clock showed `stamp_us` between two local times.
-    pub(crate) fn exchanged(&mut self, sent_ns: u64, received_ns: u64, stamp_us: u64) {
-        match self.clock.exchanged(sent_ns, received_ns, stamp_us) {
-            SampleUse::Agreed => {}
-            SampleUse::Stepped => self.common.counters.clock_steps += 1,
-            SampleUse::Backward => {
-                self.common.counters.clock_steps += 1;
-                self.clock = StampClock::new(&self.common.config.timing);
-                let _ = self.clock.exchanged(sent_ns, received_ns, stamp_us);
-            }
+    /// The server's clock showed a stamp, in its ticks, between two local times.
+    pub(crate) fn exchanged(&mut self, sample: EchoSample) {
+        let used = self.clock.echo.add(sample);
+        if used == SampleUse::Backward {
+            self.clock = StampClock::new(&self.common.config.timing);
+            let _ = self.clock.echo.add(sample);
         }
+        self.common.counters.clock_steps += u64::from(used != SampleUse::Agreed);
         self.common.counters.echoes += 1;
     }
 
@@ -237,10 +230,8 @@ impl Link {
     /// When the frame was captured: never after it arrived.
     fn capture(&mut self, stamp_us: u64, now_ns: u64) -> Option<CaptureTime> {
         let capture = self.clock.capture(stamp_us, now_ns)?;
-        if capture.uncertainty_ns > MAX_UNCERTAINTY_NS {
-            return None;
-        }
-        self.common.at_arrival(capture, now_ns)
+        let is_known = capture.uncertainty_ns <= MAX_UNCERTAINTY_NS;
+        self.common.at_arrival(is_known.then_some(capture)?, now_ns)
     }
 
     /// Lets go of the stream; it is wanted again after `pause_ns`.

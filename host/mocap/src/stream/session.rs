@@ -33,19 +33,10 @@ impl<D: Dialogue> StreamSession<D> {
     }
 
     fn opened(&mut self, now_ns: u64, local: LocalEnd) {
-        if !self.link.is_wanted {
-            return;
-        }
         self.link.local = Some(local);
         self.link.since_ns = now_ns;
         self.link.heard_ns = now_ns;
         self.dialogue.open(now_ns, &mut self.link);
-    }
-
-    fn closed(&mut self, wake: &mut Wake<'_>) {
-        if self.link.is_wanted {
-            self.link.restart(RestartReason::StreamEnded, wake);
-        }
     }
 
     /// Reads messages until none is complete; returns how many bytes were used.
@@ -107,11 +98,8 @@ impl<D: Dialogue> StreamSession<D> {
             return;
         }
         // A server sends from one port.
-        let counters = &mut link.common.counters;
-        if link
-            .datagram_port
-            .is_some_and(|known| known != source.port())
-        {
+        let (counters, port) = (&mut link.common.counters, source.port());
+        if link.datagram_port.is_some_and(|known| known != port) {
             counters.wrong_source += 1;
             return;
         }
@@ -130,7 +118,7 @@ impl<D: Dialogue> StreamSession<D> {
         }
         // What is no frame must not keep the server's port out.
         if self.link.common.counters.frames > frames {
-            self.link.datagram_port = Some(source.port());
+            self.link.datagram_port = Some(port);
         }
         self.link.datagram_ns = Some(wake.now_ns);
         self.link.heard_ns = wake.now_ns;
@@ -138,10 +126,9 @@ impl<D: Dialogue> StreamSession<D> {
 
     /// When the owner's stream, or the server behind it, has been silent for too long.
     fn silence_due_ns(&self) -> u64 {
-        self.link
-            .since_ns
-            .max(self.link.heard_ns)
-            .saturating_add(self.link.common.config.timing.reconnect_after_ns)
+        let link = &self.link;
+        let since_ns = link.since_ns.max(link.heard_ns);
+        since_ns.saturating_add(link.common.config.timing.reconnect_after_ns)
     }
 
     /// When it is clear that no datagram arrives, or none any more. Nobody may be seen, too: then
@@ -150,12 +137,9 @@ impl<D: Dialogue> StreamSession<D> {
         let link = &self.link;
         // A server may send its frames over the stream by itself.
         let heard_ns = link.datagram_ns.or(link.common.last_frame_ns);
-        let heard_ns = heard_ns.unwrap_or_default();
-        (link.common.phase == Phase::Open && !link.over_stream).then_some(
-            link.since_ns
-                .max(heard_ns)
-                .saturating_add(DATAGRAMS_WITHIN_NS),
-        )
+        let since_ns = link.since_ns.max(heard_ns.unwrap_or_default());
+        (link.common.phase == Phase::Open && !link.over_stream)
+            .then_some(since_ns.saturating_add(DATAGRAMS_WITHIN_NS))
     }
 }
 
@@ -172,9 +156,10 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
         let wake = &mut Wake { now_ns, on_output };
         match input {
             Input::Datagram { source, bytes } => self.datagram(source, bytes, wake),
-            Input::Opened(local) => self.opened(now_ns, local),
             Input::Stream(bytes) => return self.stream(bytes, wake),
-            Input::Closed => self.closed(wake),
+            _ if !self.link.is_wanted => {}
+            Input::Opened(local) => self.opened(now_ns, local),
+            Input::Closed => self.link.restart(RestartReason::StreamEnded, wake),
         }
         0
     }
@@ -185,11 +170,8 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
         }
         let wake = &mut Wake { now_ns, on_output };
         self.link.common.notice_silence(wake);
-        let (is_silent, lacks_datagrams) = (
-            now_ns >= self.silence_due_ns(),
-            self.datagrams_due_ns()
-                .is_some_and(|due_ns| now_ns >= due_ns),
-        );
+        let is_silent = now_ns >= self.silence_due_ns();
+        let datagrams_due_ns = self.datagrams_due_ns();
         let link = &mut self.link;
         if !link.is_wanted {
             if now_ns >= link.retry_ns {
@@ -197,13 +179,14 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
                 link.attempt = link.attempt.wrapping_add(1);
                 link.since_ns = now_ns;
             }
-        } else if is_silent && link.is_mute() {
+        } else if is_silent && link.local.is_some() && link.common.phase != Phase::Open {
+            // The server has not shown that it speaks the protocol.
             self.broken(Broken::Foreign, wake);
         } else if is_silent {
             link.over_stream = link.common.config.transport == Transport::Stream;
             link.fell_back = false;
             link.restart(RestartReason::Silence, wake);
-        } else if lacks_datagrams {
+        } else if datagrams_due_ns.is_some_and(|due_ns| now_ns >= due_ns) {
             link.over_stream = true;
             link.fell_back = true;
             link.restart(RestartReason::NoDatagrams, wake);
@@ -245,15 +228,9 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
             link.retry_ns
         };
         let says_ns = link.local.map(|_| self.dialogue.due_ns());
-        [
-            Some(wake_ns),
-            says_ns,
-            link.common.stale_due_ns(),
-            self.datagrams_due_ns(),
-        ]
-        .into_iter()
-        .flatten()
-        .min()
+        let (stale_ns, datagrams_ns) = (link.common.stale_due_ns(), self.datagrams_due_ns());
+        let due_ns = [Some(wake_ns), says_ns, stale_ns, datagrams_ns];
+        due_ns.into_iter().flatten().min()
     }
 
     fn stream(&self) -> Option<Stream> {

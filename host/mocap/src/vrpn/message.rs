@@ -64,8 +64,7 @@ impl<'a> Message<'a> {
         let Some((length, rest)) = u32_of(bytes) else {
             return Ok(None);
         };
-        let is_possible = (HEADER_LEN..=crate::stream::LONGEST).contains(&(length as usize));
-        if !is_possible {
+        if !(HEADER_LEN..=crate::stream::LONGEST).contains(&(length as usize)) {
             return Err(NotAMessage { length });
         }
         let body_len = length as usize - HEADER_LEN;
@@ -113,11 +112,7 @@ impl<'a> Message<'a> {
     pub fn described(&self) -> Option<&'a [u8]> {
         let (length, rest) = u32_of(self.body)?;
         let name = rest.get(..length as usize)?;
-        let end = name
-            .iter()
-            .position(|byte| *byte == 0)
-            .unwrap_or(name.len());
-        name.get(..end)
+        name.split(|byte| *byte == 0).next()
     }
 
     /// The pose in a message of the type [`POSE`], if it is one.

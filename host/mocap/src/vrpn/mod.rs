@@ -16,6 +16,7 @@ use self::message::{
 };
 use crate::{
     body::{Body, BodyState},
+    clock::EchoSample,
     config::SessionConfig,
     names::{CONTROL, NAME_LEN, Names, SenderName, body_id},
     pose_source::Output,
@@ -29,8 +30,7 @@ pub type Session = StreamSession<VrpnDialogue>;
 
 /// A session that follows a sensor of the tracker `body`, or all bodies.
 pub(crate) fn session(config: SessionConfig, sensor: i32, body: Option<&str>) -> Session {
-    let dialogue = VrpnDialogue::new(sensor, body);
-    StreamSession::new(config, dialogue)
+    StreamSession::new(config, VrpnDialogue::new(sensor, body))
 }
 
 /// The client's own numbers of its sender and its types.
@@ -144,13 +144,8 @@ impl VrpnDialogue {
     /// The server's object of this name answers pings.
     fn ask_as(&mut self, now_ns: u64, name: &[u8], link: &mut Link) {
         self.introduced = true;
-        self.say(
-            now_ns,
-            OUR_SENDER,
-            SENDER_DESCRIPTION,
-            &description(name),
-            link,
-        );
+        let body = description(name);
+        self.say(now_ns, OUR_SENDER, SENDER_DESCRIPTION, &body, link);
     }
 
     fn take(&mut self, message: &Message<'_>, with: &mut Incoming<'_>) {
@@ -186,7 +181,11 @@ impl VrpnDialogue {
                 let sent_ns = self.ping_sent_ns.take();
                 let is_quick = |sent_ns: &u64| now_ns.saturating_sub(*sent_ns) <= QUICK_ANSWER_NS;
                 if let Some(sent_ns) = sent_ns.filter(is_quick) {
-                    link.exchanged(sent_ns, now_ns, message.stamp_us);
+                    link.exchanged(EchoSample {
+                        sent_ns,
+                        received_ns: now_ns,
+                        server_ticks: message.stamp_us,
+                    });
                 } else {
                     link.common.counters.unsolicited += 1;
                 }
@@ -231,16 +230,10 @@ impl VrpnDialogue {
                 if self.bodies.is_full() {
                     self.bodies.pop();
                 }
-                let body = Body {
-                    id,
-                    state: BodyState::Untracked,
-                };
+                let (state, last, at_ns) = (BodyState::Untracked, LastFrame::default(), now_ns);
+                let body = Body { id, state };
                 // There is room: see above.
-                let _ = self.bodies.push(Known {
-                    body,
-                    last: LastFrame::default(),
-                    at_ns: now_ns,
-                });
+                let _ = self.bodies.push(Known { body, last, at_ns });
                 self.bodies.len() - 1
             }
         };
@@ -271,15 +264,12 @@ impl VrpnDialogue {
 
 /// A body's state. Zeros are what servers send of a body that they have not seen.
 fn state(pose: &Pose, link: &Link) -> BodyState {
-    let zeros =
-        pose.position_m == [0.0; 3] && pose.orientation_xyzw.iter().take(3).all(|x| *x == 0.0);
-    if zeros {
+    let (position_m, [x, y, z, _]) = (pose.position_m, pose.orientation_xyzw);
+    if position_m == [0.0; 3] && [x, y, z] == [0.0; 3] {
         return BodyState::Untracked;
     }
-    link.common
-        .config
-        .reading()
-        .state(pose.position_m, pose.orientation_xyzw, 0.0)
+    let reading = link.common.config.reading();
+    reading.state(position_m, pose.orientation_xyzw, 0.0)
 }
 
 impl Dialogue for VrpnDialogue {
