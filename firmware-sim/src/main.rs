@@ -5,7 +5,8 @@ use std::{io, path::Path, process::ExitCode, time::Duration};
 
 use clap::Parser as _;
 use singletrack_sim::{
-    Arguments, HandCommand, NatNetParameters, RealTimeError, RealTimeSimulator, Seen, ServerKind,
+    Arguments, HandCommand, RealTimeConfig, RealTimeError, RealTimeSimulator, ServerKind,
+    SimulationConfig, seen,
 };
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
@@ -30,12 +31,9 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let config = arguments.config()?;
-    let (kind, natnet) = (config.cameras, config.simulation.natnet);
-    let up_axis = config.simulation.cameras.up_axis.name();
-    let body = config.simulation.cameras.car.name.clone();
-    let simulator = RealTimeSimulator::start(config)?;
+    let simulator = RealTimeSimulator::start(config.clone())?;
     if !arguments.quiet {
-        introduce(kind, &natnet, up_axis, &body, &simulator);
+        introduce(&config, &simulator);
     }
     let end = async {
         match arguments.duration {
@@ -95,17 +93,14 @@ async fn board_failure(simulator: &RealTimeSimulator) -> Result<String, RealTime
     }
 }
 
-fn introduce(
-    kind: ServerKind,
-    natnet: &NatNetParameters,
-    up_axis: &str,
-    body: &str,
-    simulator: &RealTimeSimulator,
-) {
-    let address = simulator.command_address;
-    let up_axis = up_axis.to_uppercase();
+fn introduce(config: &RealTimeConfig, simulator: &RealTimeSimulator) {
+    let SimulationConfig {
+        cameras, natnet, ..
+    } = &config.simulation;
+    let (address, body) = (simulator.command_address, &cameras.car.name);
+    let up_axis = cameras.up_axis.name().to_uppercase();
     println!("serial port  {}", simulator.pty_path.display());
-    match kind {
+    match config.cameras {
         ServerKind::NatNet => println!(
             "NatNet       {address} (commands), {} (frames), bitstream {}, {}, {up_axis} up",
             simulator.data_address,
@@ -165,7 +160,7 @@ async fn attend(simulator: &RealTimeSimulator, mut stream: UnixStream) -> io::Re
                     .map_err(gone)?;
                 loop {
                     let (busy, text) = simulator
-                        .with_world(|world| (world.car.is_in_motion_by_hand(), Seen::of(world)))
+                        .with_world(|world| (world.car.is_in_motion_by_hand(), seen(world)))
                         .map_err(gone)?;
                     if !busy {
                         break format!("ok {text}\n");

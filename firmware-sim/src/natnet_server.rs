@@ -59,14 +59,13 @@ impl Default for NatNetParameters {
 ///
 /// A message with the text and the supported versions.
 pub fn parse_bitstream(text: &str) -> Result<BitstreamVersion, String> {
-    text.split_once('.')
-        .and_then(|(major, minor)| Some((major.parse().ok()?, minor.parse().ok()?)))
-        .ok_or_else(|| {
-            format!("\"{text}\" is not a bitstream version: write major.minor, for instance 4.1")
-        })
-        .and_then(|(major, minor)| {
-            BitstreamVersion::new(major, minor).map_err(|error| error.to_string())
-        })
+    let numbers = text
+        .split_once('.')
+        .and_then(|(major, minor)| Some((major.parse().ok()?, minor.parse().ok()?)));
+    let (major, minor) = numbers.ok_or_else(|| {
+        format!("\"{text}\" is not a bitstream version: write major.minor, for instance 4.1")
+    })?;
+    BitstreamVersion::new(major, minor).map_err(|error| error.to_string())
 }
 
 fn serialize_version<S: Serializer>(
@@ -183,10 +182,9 @@ impl NatNetServer {
         self.counters.requests += 1;
         match message {
             ClientMessage::Connect(connect) => {
-                let bitstream = connect
-                    .requested_bitstream
-                    .and_then(|version| BitstreamVersion::from_wire(version).ok())
-                    .unwrap_or(self.parameters.bitstream);
+                let requested = connect.requested_bitstream.map(BitstreamVersion::from_wire);
+                let bitstream = requested.and_then(Result::ok);
+                let bitstream = bitstream.unwrap_or(self.parameters.bitstream);
                 self.subscribe(now_us, from, bitstream);
                 self.server_info(from)
             }
@@ -268,23 +266,17 @@ impl NatNetServer {
     }
 
     fn server_info(&mut self, from: SocketAddr) -> Option<Datagram> {
-        let NatNetParameters {
-            bitstream,
-            multicast,
-            group,
-            ..
-        } = self.parameters;
-        let port = self.data_port;
+        let p = self.parameters;
         let info = ServerInfo {
             application: "singletrack-sim",
             application_version: [1, 0, 0, 0],
-            natnet_version: bitstream.to_wire(),
-            connection: (bitstream >= BitstreamVersion::V3_0).then_some(Connection {
+            natnet_version: p.bitstream.to_wire(),
+            connection: (p.bitstream >= BitstreamVersion::V3_0).then_some(Connection {
                 ticks_per_second: NonZeroU64::new(TICKS_PER_SECOND),
                 data_channel: DataChannel {
-                    port,
-                    multicast,
-                    group,
+                    port: self.data_port,
+                    multicast: p.multicast,
+                    group: p.group,
                 },
             }),
         };
@@ -315,21 +307,18 @@ impl NatNetServer {
     }
 
     fn text_request(&mut self, from: SocketAddr, text: &str) -> Option<Datagram> {
-        match bitstream_request(text) {
-            // All receivers share a multicast stream.
-            Some(Ok(version)) if !self.parameters.multicast => {
-                let status = match self.client_mut(from) {
-                    Some(client) => {
-                        client.bitstream = version;
-                        0
-                    }
-                    None => 1,
-                };
-                self.answer(from, |out| encode::response_status(status, out))
-            }
-            Some(_) => self.answer(from, |out| encode::response_status(1, out)),
-            None => self.answer(from, encode::unrecognized),
+        let Some(version) = bitstream_request(text) else {
+            return self.answer(from, encode::unrecognized);
+        };
+        let mut status = 1;
+        // All receivers share a multicast stream.
+        if let Ok(version) = version
+            && !self.parameters.multicast
+            && let Some(client) = self.client_mut(from)
+        {
+            (client.bitstream, status) = (version, 0);
         }
+        self.answer(from, |out| encode::response_status(status, out))
     }
 
     fn answer(
@@ -349,14 +338,11 @@ impl NatNetServer {
         &mut self,
         encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
     ) -> Option<Vec<u8>> {
-        let bytes = encode(&mut self.buffer)
-            .ok()
-            .and_then(|length| self.buffer.get(..length))
-            .map(<[u8]>::to_vec);
-        if bytes.is_none() {
+        let Ok(length) = encode(&mut self.buffer) else {
             self.counters.unencodable += 1;
-        }
-        bytes
+            return None;
+        };
+        self.buffer.get(..length).map(<[u8]>::to_vec)
     }
 }
 
@@ -369,15 +355,10 @@ fn encode_frame(
     models_changed: bool,
     out: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    let markers: Vec<[f32; 3]> = frame
-        .bodies
-        .iter()
-        .filter(|body| body.tracking_valid())
-        .map(|body| body.position_m)
-        .collect();
-    let labelled: Vec<LabelledMarker> = markers
-        .iter()
-        .zip(1..)
+    let tracked = frame.bodies.iter().filter(|body| body.tracking_valid());
+    let markers: Vec<[f32; 3]> = tracked.map(|body| body.position_m).collect();
+    let labelled = markers.iter().zip(1..);
+    let labelled: Vec<_> = labelled
         .map(|(&position_m, id)| LabelledMarker {
             id,
             position_m,
@@ -390,22 +371,16 @@ fn encode_frame(
         name: "all",
         markers_m: &markers,
     };
-    encode::frame(
-        version,
-        &FrameContent {
-            number: frame.number,
-            marker_sets: &[all],
-            rigid_bodies: &frame.bodies,
-            labelled_markers: &labelled,
-            timestamp_s: frame.ticks.mid_exposure as f64 / TICKS_PER_SECOND as f64,
-            ticks: frame.ticks,
-            latency: (frame.sent_us - frame.exposed_us) as f32 * 1e-6,
-            flags: if models_changed {
-                FrameFlags::MODELS_CHANGED
-            } else {
-                FrameFlags::default()
-            },
-        },
-        out,
-    )
+    let flags = models_changed.then_some(FrameFlags::MODELS_CHANGED);
+    let content = FrameContent {
+        number: frame.number,
+        marker_sets: &[all],
+        rigid_bodies: &frame.bodies,
+        labelled_markers: &labelled,
+        timestamp_s: frame.ticks.mid_exposure as f64 / TICKS_PER_SECOND as f64,
+        ticks: frame.ticks,
+        latency: (frame.sent_us - frame.exposed_us) as f32 * 1e-6,
+        flags: flags.unwrap_or_default(),
+    };
+    encode::frame(version, &content, out)
 }

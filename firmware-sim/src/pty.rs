@@ -118,11 +118,8 @@ fn open_raw() -> rustix::io::Result<(OwnedFd, OwnedFd, PathBuf)> {
     settings.make_raw();
     tcsetattr(&host_end, OptionalActions::Now, &settings)?;
     fcntl_setfl(&master, OFlags::NONBLOCK)?;
-    Ok((
-        master,
-        host_end,
-        PathBuf::from(OsStr::from_bytes(device.as_bytes())),
-    ))
+    let device = PathBuf::from(OsStr::from_bytes(device.as_bytes()));
+    Ok((master, host_end, device))
 }
 
 fn replace_link(link: &Path, device: &Path) -> io::Result<()> {

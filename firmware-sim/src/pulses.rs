@@ -8,7 +8,7 @@ use singletrack_simavr::{CYCLES_PER_US, Pin, Pulse};
 pub const SERVO_FRAME_US: u64 = 20_000;
 
 /// A servo frame: both pulses start at the same time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PulseRecord {
     /// Simulation time at which the pulses start, in µs.
     pub time_us: u64,
@@ -41,6 +41,14 @@ impl PulseFilter for Unfiltered {
     fn frame(&mut self, _: &mut PulseRecord) {}
 }
 
+/// Appends an item to a queue, which loses its oldest one if it is full.
+pub(crate) fn push_bounded<T>(queue: &mut VecDeque<T>, item: T, capacity: usize) {
+    if queue.len() >= capacity {
+        queue.pop_front();
+    }
+    queue.push_back(item);
+}
+
 /// The most recent servo frames.
 #[derive(Clone, Debug, Default)]
 pub struct PulseLog {
@@ -54,10 +62,7 @@ impl PulseLog {
     pub const CAPACITY: usize = 60_000;
 
     pub(crate) fn push(&mut self, record: PulseRecord) {
-        if self.records.len() >= Self::CAPACITY {
-            self.records.pop_front();
-        }
-        self.records.push_back(record);
+        push_bounded(&mut self.records, record, Self::CAPACITY);
         self.total += 1;
     }
 
@@ -97,7 +102,7 @@ impl PulseLog {
 const FRAME_TIMEOUT: u64 = 2_500 * CYCLES_PER_US;
 
 /// A servo frame; a pulse that is absent or still to come is zero.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Frame {
     /// The first rising edge, in cycles.
     pub(super) start: u64,
@@ -142,9 +147,7 @@ impl Frames {
         let complete = self.finish();
         let mut frame = Frame {
             start: pulse.start,
-            servo_us: 0,
-            esc_us: 0,
-            cut: false,
+            ..Frame::default()
         };
         width(&mut frame);
         self.open = Some(frame);
@@ -153,10 +156,8 @@ impl Frames {
 
     /// The frame that has ended by the given cycle.
     pub(super) fn over(&mut self, cycle: u64) -> Option<Frame> {
-        self.open
-            .is_some_and(|frame| cycle > frame.start + FRAME_TIMEOUT)
-            .then(|| self.finish())
-            .flatten()
+        let is_over = self.open?.start + FRAME_TIMEOUT < cycle;
+        is_over.then(|| self.finish())?
     }
 
     /// The processor is held in reset: the frame in progress ends, and the grid

@@ -88,10 +88,8 @@ impl QtmServer {
             Some("getstate") => self.packet(Kind::Event, &[1]),
             Some("getparameters") => {
                 let with_bodies = words.any(|word| matches!(word, "6d" | "all"));
-                self.text(
-                    Kind::Xml,
-                    &parameters(client.state.minor, cameras, with_bodies),
-                )
+                let xml = parameters(client.state.minor, cameras, with_bodies);
+                self.text(Kind::Xml, &xml)
             }
             Some("streamframes") => {
                 let rest: Vec<_> = words.collect();
@@ -99,10 +97,9 @@ impl QtmServer {
                     client.state.stream = None;
                     return Vec::new();
                 }
-                client.datagrams_to = rest
-                    .iter()
-                    .find_map(|word| word.strip_prefix("udp:"))
-                    .and_then(|to| datagrams_to(client, to));
+                let mut words = rest.iter();
+                let to = words.find_map(|word| word.strip_prefix("udp:"));
+                client.datagrams_to = to.and_then(|to| datagrams_to(client, to));
                 let divisor = rest
                     .iter()
                     .find_map(|word| word.strip_prefix("frequencydivisor:")?.parse().ok());
@@ -148,10 +145,8 @@ fn parameters(minor: u32, cameras: &CameraParameters, with_bodies: bool) -> Stri
         // Strings take what is written.
         let _ = write!(xml, "<The_6D><Bodies>{}</Bodies>", cameras.names().count());
         for (_, name) in cameras.names() {
-            let name = name
-                .replace('&', "&amp;")
-                .replace('<', "&lt;")
-                .replace('>', "&gt;");
+            let name = name.replace('&', "&amp;").replace('<', "&lt;");
+            let name = name.replace('>', "&gt;");
             let colour = if minor > 20 {
                 "<Enabled>true</Enabled><Color R=\"0\" G=\"128\" B=\"0\"/>"
             } else {

@@ -24,6 +24,7 @@ use crate::{
     floor::Floor,
     parameters::{ConfigError, SimulationConfig},
     pty::{Pty, PtyError},
+    pulses::push_bounded,
     sockets::{NatNetSockets, UdpConfig, UdpError},
     stream_servers::StreamServers,
     world::World,
@@ -384,10 +385,8 @@ impl Machine {
     fn round(&mut self, now_us: u64) {
         while self.next_record_us <= now_us {
             self.world.advance_to(self.next_record_us);
-            if self.trajectory.len() >= TRAJECTORY_CAPACITY {
-                self.trajectory.pop_front();
-            }
-            self.trajectory.push_back(self.timed_truth());
+            let truth = self.timed_truth();
+            push_bounded(&mut self.trajectory, truth, TRAJECTORY_CAPACITY);
             self.next_record_us += self.trajectory_period_us;
         }
         self.world.advance_to(now_us);

@@ -34,28 +34,23 @@ impl ScriptedHost {
     /// Processes bytes from the board.
     pub fn take(&mut self, bytes: &[u8]) {
         for &byte in bytes {
-            let message = match self.decoder.push(byte) {
-                None => continue,
-                Some(Err(_)) => {
-                    self.damaged += 1;
-                    continue;
-                }
-                Some(Ok(packet)) => ToHost::decode(packet),
+            let Some(packet) = self.decoder.push(byte) else {
+                continue;
             };
-            match message {
-                Ok(ToHost::Telemetry(telemetry)) => {
+            match packet.map(ToHost::decode) {
+                Ok(Ok(ToHost::Telemetry(telemetry))) => {
                     self.telemetry = Some(telemetry);
                     self.records += 1;
                 }
-                Ok(ToHost::Status(status)) => self.status = Some(status),
-                Ok(ToHost::Refusal(refusal)) => {
+                Ok(Ok(ToHost::Status(status))) => self.status = Some(status),
+                Ok(Ok(ToHost::Refusal(refusal))) => {
                     self.refusals.push(refusal.reason);
                     self.answers += 1;
                 }
-                Ok(ToHost::Hello(hello)) => self.hellos.push(hello),
-                Ok(ToHost::Identity(identity)) => self.car_id = Some(identity.car_id),
-                Ok(ToHost::Acknowledgement(_)) => self.answers += 1,
-                Err(_) => self.damaged += 1,
+                Ok(Ok(ToHost::Hello(hello))) => self.hellos.push(hello),
+                Ok(Ok(ToHost::Identity(identity))) => self.car_id = Some(identity.car_id),
+                Ok(Ok(ToHost::Acknowledgement(_))) => self.answers += 1,
+                Err(_) | Ok(Err(_)) => self.damaged += 1,
             }
         }
     }
@@ -68,8 +63,7 @@ impl ScriptedHost {
 
     /// Board time of the newest telemetry, in µs; zero before the first.
     pub fn telemetry_time_us(&self) -> u32 {
-        self.telemetry
-            .map_or(0, |telemetry| telemetry.board_time_us)
+        self.telemetry.map_or(0, |newest| newest.board_time_us)
     }
 
     /// The board's last reported mode.

@@ -6,7 +6,6 @@ use std::{
     net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV4, TcpListener, TcpStream, UdpSocket},
 };
 
-use serde::{Deserialize, Serialize};
 use socket2::{Domain, Protocol, Socket, Type};
 
 use crate::{
@@ -15,8 +14,7 @@ use crate::{
 };
 
 /// Addresses of the cameras' server.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UdpConfig {
     /// Address of the interface, also for multicast frames. The default is this
     /// machine only.
@@ -112,12 +110,10 @@ impl NatNetSockets {
             Destination::Client(address) => address,
             Destination::Group => self.group.into(),
         };
-        let socket = if let (Some(_), Some(second)) = (datagram.from, &self.second) {
-            second
-        } else if datagram.is_frame {
-            &self.data
-        } else {
-            &self.command
+        let socket = match (datagram.from, &self.second) {
+            (Some(_), Some(second)) => second,
+            _ if datagram.is_frame => &self.data,
+            _ => &self.command,
         };
         socket.send_to(&datagram.bytes, to).is_ok()
     }
@@ -213,9 +209,8 @@ impl<P: StreamServer> Serving<P> {
     }
 
     pub(crate) fn welcome(&mut self, stream: TcpStream, address: IpAddr, was_called: bool) {
-        let prepared = stream
-            .set_nonblocking(true)
-            .and_then(|()| stream.set_nodelay(true));
+        let prepared = stream.set_nonblocking(true);
+        let prepared = prepared.and_then(|()| stream.set_nodelay(true));
         if prepared.is_err() || self.clients.len() >= MAX_CLIENTS {
             return;
         }
@@ -266,16 +261,12 @@ impl<P: StreamServer> Serving<P> {
             if bytes.is_empty() {
                 return true;
             }
-            match client.datagrams_to {
-                Some(to) => {
-                    lost += u64::from(udp.send_to(&bytes, to).is_err());
-                    true
-                }
-                None => {
-                    client.output.extend(bytes);
-                    write(stream, &mut client.output)
-                }
+            if let Some(to) = client.datagrams_to {
+                lost += u64::from(udp.send_to(&bytes, to).is_err());
+                return true;
             }
+            client.output.extend(bytes);
+            write(stream, &mut client.output)
         });
         lost
     }
@@ -299,9 +290,8 @@ fn write(mut stream: &TcpStream, output: &mut Vec<u8>) -> bool {
     while !output.is_empty() {
         match stream.write(output) {
             Ok(length) => drop(output.drain(..length)),
-            Err(error) => {
-                return error.kind() == ErrorKind::WouldBlock && output.len() < MAX_WAITING;
-            }
+            Err(error) if error.kind() != ErrorKind::WouldBlock => return false,
+            Err(_) => return output.len() < MAX_WAITING,
         }
     }
     true

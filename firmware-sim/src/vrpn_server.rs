@@ -1,5 +1,7 @@
 //! The cameras' VRPN server, without sockets.
 
+use core::net::SocketAddr;
+
 use singletrack_mocap::vrpn::message::{
     self, COOKIE, COOKIE_BEGINNING, Message, PING, PONG, POSE, Pose, SENDER_DESCRIPTION,
     TYPE_DESCRIPTION, UDP_DESCRIPTION,
@@ -50,11 +52,8 @@ impl StreamServer for VrpnServer {
 
     fn greeting(&self, client: &Client<VrpnClient>) -> Vec<u8> {
         // A server that calls back speaks first.
-        if client.was_called {
-            COOKIE.to_vec()
-        } else {
-            Vec::new()
-        }
+        let cookie = client.was_called.then(|| COOKIE.to_vec());
+        cookie.unwrap_or_default()
     }
 
     fn receive(
@@ -75,16 +74,15 @@ impl StreamServer for VrpnServer {
                 }
                 UDP_DESCRIPTION => {
                     let port = u16::try_from(message.sender).ok();
-                    client.datagrams_to =
-                        port.map(|port| core::net::SocketAddr::new(client.address, port));
+                    let to = |port| SocketAddr::new(client.address, port);
+                    client.datagrams_to = port.map(to);
                 }
-                SENDER_DESCRIPTION
-                    if state.senders.len() < 100
-                        && cameras
-                            .names()
-                            .any(|(_, name)| message.described() == Some(name.as_bytes())) =>
-                {
-                    state.senders.push(message.sender);
+                SENDER_DESCRIPTION if state.senders.len() < 100 => {
+                    let described = message.described();
+                    let mut names = cameras.names().map(|(_, name)| Some(name.as_bytes()));
+                    if names.any(|name| name == described) {
+                        state.senders.push(message.sender);
+                    }
                 }
                 kind if Some(kind) == state.ping && state.senders.contains(&message.sender) => {
                     let pong = state.say(clock_us, 0, PONG_TYPE, &[]);

@@ -95,11 +95,8 @@ impl Direction {
     }
 
     fn receive(&mut self, now_us: u64, mut take: impl FnMut(u64, u8)) {
-        while let Some(&(arrival, byte)) = self.under_way.front() {
-            if arrival > now_us {
-                break;
-            }
-            self.under_way.pop_front();
+        let is_here = |(arrival, _): &mut (u64, u8)| *arrival <= now_us;
+        while let Some((arrival, byte)) = self.under_way.pop_front_if(is_here) {
             take(arrival, byte);
         }
     }

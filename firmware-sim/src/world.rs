@@ -12,7 +12,7 @@ use crate::{
     clock::Epoch,
     natnet_server::{Datagram, NatNetServer},
     parameters::{ConfigError, SimulationConfig},
-    pulses::{PulseFilter, Unfiltered},
+    pulses::{PulseFilter, Unfiltered, push_bounded},
     wire::SerialWire,
 };
 
@@ -124,17 +124,11 @@ impl World {
     }
 
     fn next_event_us(&self) -> u64 {
-        let mut next = self
-            .next_imu_us()
-            .min(self.cameras.next_exposure_us)
-            .min(self.board.next_event_us());
-        if let Some((arrival, _)) = self.imu_pending.front() {
-            next = next.min(*arrival);
-        }
-        if let Some(send) = self.cameras.next_send_us() {
-            next = next.min(send);
-        }
-        next
+        let arrival = self.imu_pending.front().map(|(arrival, _)| *arrival);
+        let pending = [arrival, self.cameras.next_send_us()];
+        let (imu, board) = (self.next_imu_us(), self.board.next_event_us());
+        let next = imu.min(self.cameras.next_exposure_us).min(board);
+        pending.into_iter().flatten().fold(next, u64::min)
     }
 
     fn next_imu_us(&self) -> u64 {
@@ -166,11 +160,8 @@ impl World {
                     .extend(sample.map(|reading| (arrival, reading)));
             }
         }
-        while let Some(&(arrival, reading)) = self.imu_pending.front() {
-            if arrival > now_us {
-                break;
-            }
-            self.imu_pending.pop_front();
+        let is_here = |(arrival, _): &mut (u64, Motion)| *arrival <= now_us;
+        while let Some((_, reading)) = self.imu_pending.pop_front_if(is_here) {
             self.board.take_imu(now_us, reading);
         }
         if exposure_is_due {
@@ -216,15 +207,15 @@ impl World {
 
     fn send_frame(&mut self, frame: CameraFrame) {
         for datagram in self.natnet.frame(self.now_us, &frame) {
-            push_bounded(&mut self.datagrams, datagram);
+            push_bounded(&mut self.datagrams, datagram, QUEUE_CAPACITY);
         }
         if let Some(forged) = self.cameras.forge(&frame) {
             for datagram in self.natnet.frame(self.now_us, &forged) {
-                push_bounded(&mut self.datagrams, datagram);
+                push_bounded(&mut self.datagrams, datagram, QUEUE_CAPACITY);
             }
         }
         if !frame.silent {
-            push_bounded(&mut self.frames, frame);
+            push_bounded(&mut self.frames, frame, QUEUE_CAPACITY);
         }
     }
 
@@ -255,7 +246,7 @@ impl World {
             bytes,
         );
         if let Some(datagram) = answer {
-            push_bounded(&mut self.datagrams, datagram);
+            push_bounded(&mut self.datagrams, datagram, QUEUE_CAPACITY);
         }
     }
 
@@ -335,13 +326,6 @@ impl World {
         self.cameras.set_car_id(id);
         self.natnet.models_changed = true;
     }
-}
-
-fn push_bounded<T>(queue: &mut VecDeque<T>, item: T) {
-    if queue.len() >= QUEUE_CAPACITY {
-        queue.pop_front();
-    }
-    queue.push_back(item);
 }
 
 #[cfg(test)]

@@ -41,7 +41,7 @@ pub(crate) struct Board {
 }
 
 /// What is at the converter's inputs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Battery {
     battery_mv: u32,
     supply_mv: u32,
@@ -87,10 +87,8 @@ impl Board {
             sensor_falls: None,
             watchdog_reset: None,
             battery: Battery {
-                battery_mv: 0,
                 supply_mv: SUPPLY_MV,
-                divider_open: false,
-                pulled_up: false,
+                ..Battery::default()
             },
         })
     }
@@ -201,10 +199,8 @@ impl Board {
             cycle: self.now(),
             watchdog_reset: self.watchdog_reset.take(),
         };
-        match &self.crash {
-            Some(crash) => Reply::Failed(crash.clone()),
-            None => Reply::Ran(report),
-        }
+        let crash = self.crash.clone();
+        crash.map_or(Reply::Ran(report), Reply::Failed)
     }
 
     fn pass_voltages(&mut self) {
@@ -230,10 +226,7 @@ impl Board {
                 devices.changed = true;
             }
         }
-        if let Some(falls) = self.sensor_falls
-            && falls <= now
-        {
-            self.sensor_falls = None;
+        if self.sensor_falls.take_if(|falls| *falls <= now).is_some() {
             self.machine.set_int0(false);
         }
         while let Some(at) = inputs.edges.pop_front_if(|at| *at <= now) {
@@ -241,16 +234,11 @@ impl Board {
             self.machine.set_int0(true);
             self.sensor_falls = Some(at + SENSOR_HIGH);
         }
-        [
-            inputs.motion.front().map(|(at, _)| *at),
-            inputs.received.front().map(|(at, _)| *at),
-            inputs.edges.front().copied(),
-            self.sensor_falls,
-        ]
-        .into_iter()
-        .flatten()
-        .min()
-        .unwrap_or(u64::MAX)
+        let motion = inputs.motion.front().map(|(at, _)| *at);
+        let received = inputs.received.front().map(|(at, _)| *at);
+        let edge = inputs.edges.front().copied();
+        let next = [motion, received, edge, self.sensor_falls];
+        next.into_iter().flatten().min().unwrap_or(u64::MAX)
     }
 
     /// Runs up to `until`, or one instruction longer.
@@ -270,7 +258,10 @@ impl Board {
                 devices.advance(now);
                 devices.changed = false;
                 if let Some(at) = devices.watchdog_reset {
-                    self.watchdog_reset(at);
+                    // No device acts between the timeout and the end of the interrupted
+                    // instruction.
+                    self.hold(at);
+                    self.watchdog_reset = Some(at);
                     continue;
                 }
                 self.machine.pass_requests();
@@ -318,12 +309,6 @@ impl Board {
         if self.hang.is_some() && status.asleep {
             self.machine.wake();
         }
-    }
-
-    fn watchdog_reset(&mut self, at: u64) {
-        // No device acts between the timeout and the end of the interrupted instruction.
-        self.hold(at);
-        self.watchdog_reset = Some(at);
     }
 
     fn check_for_crash(&mut self) {

@@ -115,33 +115,20 @@ impl Devices {
         self.changed = true;
     }
 
-    pub(crate) fn find_next(&mut self) {
-        self.next = self
-            .uart
-            .next()
-            .min(self.twi.next())
-            .min(self.timer1.next())
-            .min(self.watchdog.next());
-    }
-
     /// Processes all events up to now.
     pub(crate) fn advance(&mut self, now: u64) {
         self.changed = true;
         self.uart.advance(now);
         self.twi.advance(now);
         self.advance_timer1(now);
-        if let Some(at) = self.watchdog.advance(now) {
-            self.watchdog_reset = Some(at);
-        }
-        self.find_next();
+        self.watchdog_reset = self.watchdog.advance(now).or(self.watchdog_reset);
+        let bytes = self.uart.next().min(self.twi.next());
+        self.next = bytes.min(self.timer1.next()).min(self.watchdog.next());
     }
 
     fn advance_timer1(&mut self, now: u64) {
-        loop {
+        while self.timer1.next() <= now {
             let at = self.timer1.next();
-            if at > now {
-                break;
-            }
             self.timer1.advance();
             self.update_pins(at);
         }
@@ -258,12 +245,8 @@ impl Devices {
             PINC => {
                 let [_, port, _] = self.ports;
                 // Both lines of the bus have external pull-ups.
-                let pins = port.pins(0x30, 0x30);
-                if self.twi.data_held_low() {
-                    pins & !0x10
-                } else {
-                    pins
-                }
+                let held = if self.twi.data_held_low() { 0x10 } else { 0 };
+                port.pins(0x30, 0x30) & !held
             }
             PIND => {
                 let [.., port] = self.ports;
@@ -318,12 +301,12 @@ impl Devices {
                 self.changed = true;
                 return;
             }
-            TIFR1 => self.timer1.clear_flags(value),
-            TIMSK1 => self.timer1.set_mask(value),
+            TIFR1 => self.timer1.flags &= !value,
+            TIMSK1 => self.timer1.mask = value,
             TCCR1A..=OCR1BH => self.timer1.write(now, address - TCCR1A, value),
             WDTCSR => self.watchdog.write(now, value),
             TWBR => self.twi.bit_rate = value,
-            TWSR => self.twi.set_prescaler(value),
+            TWSR => self.twi.prescaler = value & 3,
             TWAR => self.twi.own_address[0] = value,
             TWDR => self.twi.set_data(value),
             TWCR => self.twi.set_control(now, value),

@@ -15,6 +15,9 @@ const SRAM_START: u16 = 0x100;
 /// The symbols that linker scripts put above the static data.
 const ENDS: [&[u8]; 4] = [b"__data_end", b"__bss_end", b"_end", b"__noinit_end"];
 
+/// A part of the file is missing or contradicts another.
+const DAMAGED: &str = "is truncated or corrupted";
+
 type Header = FileHeader32<LittleEndian>;
 
 /// A program for the ATmega328P.
@@ -36,12 +39,10 @@ impl Image {
     fn parse(bytes: &[u8]) -> Result<Self, String> {
         let header =
             Header::parse(bytes).map_err(|_| "is not an ELF file of 32 bits, little-endian")?;
-        let damaged = |Damaged| "is truncated or corrupted";
         let machine = header.e_machine(LittleEndian);
         if machine != EM_AVR {
-            return Err(format!(
-                "is for machine {machine}, not for the AVR ({EM_AVR})"
-            ));
+            let why = format!("is for machine {machine}, not for the AVR ({EM_AVR})");
+            return Err(why);
         }
         let family = header.e_flags(LittleEndian) & EF_AVR_ARCH;
         if family != EF_AVR_ARCH_AVR5 {
@@ -50,12 +51,20 @@ impl Image {
             ));
         }
         let mut flash = Vec::new();
-        for (address, contents) in segments(header, bytes).map_err(damaged)? {
+        let segments = header.program_headers(LittleEndian, bytes);
+        for segment in segments.map_err(|_| DAMAGED)? {
+            let is_empty = segment.p_filesz(LittleEndian) == 0;
+            let address = segment.p_paddr(LittleEndian);
+            // EEPROM and fuses have addresses beyond the data space.
+            if segment.p_type(LittleEndian) != PT_LOAD || is_empty || address >= DATA_SPACE {
+                continue;
+            }
+            let contents = segment.data(LittleEndian, bytes).map_err(|()| DAMAGED)?;
+            let address = address as usize;
             let end = address + contents.len();
             if end > FLASH_BYTES {
-                return Err(format!(
-                    "needs {end} bytes of flash, but there are {FLASH_BYTES}"
-                ));
+                let why = format!("needs {end} bytes of flash, but there are {FLASH_BYTES}");
+                return Err(why);
             }
             if flash.len() < end {
                 flash.resize(end, 0xFF);
@@ -69,50 +78,24 @@ impl Image {
         }
         Ok(Self {
             flash,
-            static_end: static_end(header, bytes).map_err(damaged)?,
+            static_end: static_end(header, bytes).ok_or(DAMAGED)?,
         })
     }
 }
 
-/// A part of the file is missing or contradicts another.
-struct Damaged;
-
-impl From<object::Error> for Damaged {
-    fn from(_: object::Error) -> Self {
-        Self
-    }
-}
-
-/// The address and the contents of each part of the flash. EEPROM and fuses have
-/// addresses beyond the data space.
-fn segments<'a>(header: &Header, bytes: &'a [u8]) -> Result<Vec<(usize, &'a [u8])>, Damaged> {
-    let mut segments = Vec::new();
-    for segment in header.program_headers(LittleEndian, bytes)? {
-        let address = segment.p_paddr(LittleEndian);
-        if segment.p_type(LittleEndian) == PT_LOAD
-            && segment.p_filesz(LittleEndian) > 0
-            && address < DATA_SPACE
-        {
-            let contents = segment.data(LittleEndian, bytes).map_err(|()| Damaged)?;
-            segments.push((address as usize, contents));
-        }
-    }
-    Ok(segments)
-}
-
-/// The highest of the symbols above the static data.
-fn static_end(header: &Header, bytes: &[u8]) -> Result<u16, Damaged> {
-    let sections = header.sections(LittleEndian, bytes)?;
-    let symbols = sections.symbols(LittleEndian, bytes, SHT_SYMTAB)?;
+/// The highest of the symbols above the static data; none of a damaged file.
+fn static_end(header: &Header, bytes: &[u8]) -> Option<u16> {
+    let sections = header.sections(LittleEndian, bytes).ok()?;
+    let symbols = sections.symbols(LittleEndian, bytes, SHT_SYMTAB).ok()?;
     let mut end = SRAM_START;
     for symbol in symbols.iter() {
-        let name = symbol.name(LittleEndian, symbols.strings())?;
+        let name = symbol.name(LittleEndian, symbols.strings()).ok()?;
         let value = symbol.st_value(LittleEndian);
         if value >= DATA_SPACE && ENDS.contains(&name) {
-            end = end.max(u16::try_from(value - DATA_SPACE).map_err(|_| Damaged)?);
+            end = end.max(u16::try_from(value - DATA_SPACE).ok()?);
         }
     }
-    Ok(end)
+    Some(end)
 }
 
 #[cfg(test)]

@@ -25,7 +25,7 @@ mod uart;
 use std::{
     error::Error,
     fs::File,
-    io::{self, BufReader, BufWriter, ErrorKind, Read, Write},
+    io::{self, BufReader, BufWriter, ErrorKind},
     os::fd::AsFd,
     path::PathBuf,
     process::ExitCode,
@@ -73,27 +73,17 @@ fn run() -> Result<(), Box<dyn Error>> {
     let mut board = Board::new(&image).ok_or("this simavr does not support the ATmega328P")?;
     let mut input = BufReader::new(io::stdin().lock());
     let mut output = BufWriter::new(File::from(output));
-    match converse(&mut board, &mut input, &mut output) {
-        // The simulator has ended, possibly within a message.
-        Err(PipeError::Io(error))
-            if matches!(
-                error.kind(),
-                ErrorKind::BrokenPipe | ErrorKind::UnexpectedEof
-            ) =>
-        {
-            Ok(())
+    let mut converse = || {
+        while let Some(request) = receive::<Request>(&mut input)? {
+            send(&mut output, &board.answer(request))?;
         }
+        Ok(())
+    };
+    // The simulator has ended, possibly within a message.
+    let has_ended =
+        |kind: ErrorKind| matches!(kind, ErrorKind::BrokenPipe | ErrorKind::UnexpectedEof);
+    match converse() {
+        Err(PipeError::Io(error)) if has_ended(error.kind()) => Ok(()),
         result => Ok(result?),
     }
-}
-
-fn converse(
-    board: &mut Board,
-    input: &mut impl Read,
-    output: &mut impl Write,
-) -> Result<(), PipeError> {
-    while let Some(request) = receive::<Request>(input)? {
-        send(output, &board.answer(request))?;
-    }
-    Ok(())
 }

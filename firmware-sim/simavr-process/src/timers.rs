@@ -86,10 +86,7 @@ impl Timer1 {
     /// Level of a channel's pin, if the timer controls it.
     pub(crate) fn output(&self, channel: usize) -> Option<bool> {
         let driven = self.output_mode(channel) != 0;
-        self.channels
-            .get(channel)
-            .filter(|_| driven)
-            .map(|channel| channel.output)
+        driven.then(|| self.channels[channel].output)
     }
 
     fn count(&self, now: u64) -> u16 {
@@ -122,53 +119,45 @@ impl Timer1 {
     }
 
     pub(crate) fn next(&self) -> u64 {
-        [
-            self.next_top,
-            self.channels[0].next_match,
-            self.channels[1].next_match,
-        ]
-        .into_iter()
-        .flatten()
-        .min()
-        .unwrap_or(u64::MAX)
+        let [a, b] = &self.channels;
+        let next = [self.next_top, a.next_match, b.next_match];
+        next.into_iter().flatten().min().unwrap_or(u64::MAX)
     }
 
     /// Processes the next event.
     pub(crate) fn advance(&mut self) {
         let at = self.next();
         for index in 0..2 {
-            if self.channels[index].next_match != Some(at) {
-                continue;
+            let mode = self.output_mode(index);
+            let channel = &mut self.channels[index];
+            if channel.next_match.take_if(|next| *next == at).is_some() {
+                self.flags |= 2 << index;
+                channel.output = match mode {
+                    1 => !channel.output,
+                    2 => false,
+                    3 => true,
+                    _ => channel.output,
+                };
             }
-            self.channels[index].next_match = None;
-            self.flags |= 2 << index;
-            let clear = match (self.output_mode(index), self.is_fast_pwm()) {
-                (1, _) => !self.channels[index].output,
-                (2, _) => false,
-                (3, _) => true,
-                _ => self.channels[index].output,
-            };
-            self.channels[index].output = clear;
         }
         if self.next_top != Some(at) {
             return;
         }
         self.zero = at as i64;
-        match self.mode() {
-            // In CTC the overflow is at the end of the range, which is not reached.
-            4 | 12 => {}
-            _ => self.flags |= TOV,
+        // In CTC the overflow is at the end of the range, which is not reached.
+        if !matches!(self.mode(), 4 | 12) {
+            self.flags |= TOV;
         }
         if matches!(self.mode(), 12 | 14) {
             self.flags |= ICF;
         }
         if self.is_fast_pwm() {
             for index in 0..2 {
-                self.channels[index].compare = self.channels[index].buffer;
-                match self.output_mode(index) {
-                    2 => self.channels[index].output = true,
-                    3 => self.channels[index].output = false,
-                    _ => {}
+                let mode = self.output_mode(index);
+                let channel = &mut self.channels[index];
+                channel.compare = channel.buffer;
+                if matches!(mode, 2 | 3) {
+                    channel.output = mode == 2;
                 }
             }
         }
@@ -185,15 +174,6 @@ impl Timer1 {
         for (_, flag) in INTERRUPTS.iter().filter(|(other, _)| *other == vector) {
             self.flags &= !flag;
         }
-    }
-
-    /// Clears the flags that are one in `ones`.
-    pub(crate) fn clear_flags(&mut self, ones: u8) {
-        self.flags &= !ones;
-    }
-
-    pub(crate) fn set_mask(&mut self, value: u8) {
-        self.mask = value;
     }
 
     /// Reads a register by its offset from TCCR1A.
@@ -224,10 +204,8 @@ impl Timer1 {
         match register {
             0 | 1 => {
                 let count = self.count(now);
-                let phase = self
-                    .prescaler()
-                    .map_or(0, |prescaler| (now as i64 - self.zero) % prescaler);
                 let old = self.prescaler();
+                let phase = old.map_or(0, |old| (now as i64 - self.zero) % old);
                 self.control[usize::from(register)] = value;
                 self.count = count;
                 match self.prescaler() {
@@ -440,7 +418,7 @@ mod tests {
         assert_eq!(timer.next(), 0x1402);
         timer.advance();
         assert_eq!(timer.flags, TOV);
-        timer.clear_flags(TOV);
+        timer.flags &= !TOV;
         assert_eq!(timer.flags, 0);
     }
 
@@ -451,7 +429,7 @@ mod tests {
         // Never reached.
         write16(&mut timer, 0, OCR1B, 250);
         timer.write(0, TCCR1B, 0x0B);
-        timer.set_mask(2);
+        timer.mask = 2;
         for period in 1..5 {
             assert_eq!(timer.next(), period * 16_000);
             timer.advance();

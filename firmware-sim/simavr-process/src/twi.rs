@@ -43,7 +43,7 @@ pub(crate) struct Twi {
     pulses_to_free: u8,
     clock_high: bool,
     pub(crate) bit_rate: u8,
-    prescaler: u8,
+    pub(crate) prescaler: u8,
     pub(crate) control: u8,
     status: u8,
     pub(crate) data: u8,
@@ -144,11 +144,8 @@ impl Twi {
         };
         // Neither condition is possible while the data line can't rise.
         let stuck = matches!(action, Action::Start | Action::Stop) && self.data_held_low();
-        let end = if stuck {
-            u64::MAX
-        } else {
-            now + bits * self.cycles_per_bit()
-        };
+        let due = now + bits * self.cycles_per_bit();
+        let end = if stuck { u64::MAX } else { due };
         self.action = Some((action, end));
     }
 
@@ -261,10 +258,6 @@ impl Twi {
 
     pub(crate) fn status(&self) -> u8 {
         self.status | self.prescaler
-    }
-
-    pub(crate) fn set_prescaler(&mut self, value: u8) {
-        self.prescaler = value & 3;
     }
 
     /// Ignored while a byte is in progress (TWWC).

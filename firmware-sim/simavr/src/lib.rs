@@ -67,7 +67,7 @@ impl Motion {
         }
         let [[a, b, c], [d, e, f], [g, h, i]] = rows;
         let determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g);
-        if determinant != 1.0 || [map, signs_byte(signs)] == [0x24, 0] {
+        if determinant != 1.0 {
             return *self;
         }
         let turned = |values: [i16; 3]| {
@@ -80,12 +80,6 @@ impl Motion {
                 .map(|value| value.round() as i16),
         }
     }
-}
-
-fn signs_byte(signs: [i16; 3]) -> u8 {
-    signs
-        .iter()
-        .fold(0, |byte, &sign| byte << 1 | u8::from(sign < 0))
 }
 
 /// The quaternion w, x, y, z that turns vectors along the new axes to the old ones, by

@@ -232,18 +232,12 @@ pub fn send(pipe: &mut impl Write, message: &impl Serialize) -> Result<(), PipeE
 ///
 /// Fails if the message is truncated, too long or invalid.
 pub fn receive<T: DeserializeOwned>(pipe: &mut impl Read) -> Result<Option<T>, PipeError> {
-    let mut prefix = [0; 4];
-    let mut filled = 0;
-    while let Some(rest @ [_, ..]) = prefix.get_mut(filled..) {
-        match pipe.read(rest) {
-            Ok(0) if filled == 0 => return Ok(None),
-            Ok(0) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
-            Ok(count) => filled += count,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error.into()),
-        }
+    let mut prefix = Vec::new();
+    if pipe.by_ref().take(4).read_to_end(&mut prefix)? == 0 {
+        return Ok(None);
     }
-    let length = u32::from_le_bytes(prefix);
+    let truncated = |_| io::Error::from(io::ErrorKind::UnexpectedEof);
+    let length = u32::from_le_bytes(prefix.try_into().map_err(truncated)?);
     if length > MAX_LENGTH {
         return Err(PipeError::Length(length));
     }

@@ -8,8 +8,8 @@ use std::{
 
 use singletrack_protocol::ResetCause;
 use singletrack_simavr::{
-    BusFault, CYCLES_PER_US, Figures, Hang, Motion, Pin, PipeError, Reply, Report, Request,
-    ResetFlags, Run, receive, send,
+    CYCLES_PER_US, Figures, Motion, Pin, PipeError, Reply, Report, Request, ResetFlags, Run,
+    receive, send,
 };
 
 use super::{Environment, battery_mv, local_time, supply_mv};
@@ -51,15 +51,12 @@ impl Installation {
     pub fn find() -> Result<Self, UnoError> {
         if let Some(folder) = std::env::var_os(VARIABLE).map(PathBuf::from) {
             let installation = Self::in_folder(&folder);
-            for (path, file) in [
-                (&installation.program, PROGRAM),
-                (&installation.image, IMAGE),
-            ] {
-                if !path.is_file() {
-                    let folder = folder.display();
-                    let why = format!("{VARIABLE} names {folder}, where there is no {file}");
-                    return Err(UnoError(why));
-                }
+            let Self { program, image } = &installation;
+            let files = [(program, PROGRAM), (image, IMAGE)];
+            if let Some((_, file)) = files.iter().find(|(path, _)| !path.is_file()) {
+                let folder = folder.display();
+                let why = format!("{VARIABLE} names {folder}, where there is no {file}");
+                return Err(UnoError(why));
             }
             return Ok(installation);
         }
@@ -116,6 +113,8 @@ const STEP_US: u64 = 1_000;
 #[derive(Debug)]
 pub(super) struct Image {
     process: Process,
+    /// Its oscillator.
+    clock: SkewedClock,
     pub(super) failure: Option<String>,
     pub(super) next_event_us: u64,
     /// Cycle in which the processor last left its reset.
@@ -127,9 +126,11 @@ pub(super) struct Image {
 }
 
 impl Image {
-    pub(super) fn start(installation: &Installation) -> Result<Self, UnoError> {
+    pub(super) fn start(clock: SkewedClock) -> Result<Self, UnoError> {
+        let installation = Installation::find()?;
         Ok(Self {
             process: Process::start(&installation.program, &installation.image)?,
+            clock,
             failure: None,
             next_event_us: 0,
             started: 0,
@@ -140,24 +141,16 @@ impl Image {
         })
     }
 
-    pub(super) fn hang(&mut self, hang: Hang) {
-        self.ask(&Request::Hang(hang));
-    }
-
-    pub(super) fn set_bus(&mut self, fault: BusFault) {
-        self.ask(&Request::SetBus(fault));
-    }
-
     /// Holds the processor in reset. The pulses until now reach car and log; a
     /// pulse in progress is cut.
-    pub(super) fn hold(&mut self, clock: &SkewedClock, car: &mut Car, log: &mut PulseLog) {
+    pub(super) fn hold(&mut self, car: &mut Car, log: &mut PulseLog) {
         self.ask(&Request::Hold);
         // This run takes no time; it only fetches the report.
         if let Some(Reply::Ran(report)) = self.ask(&Request::Run(Run::default())) {
-            self.take_pulses(&report, Some(report.cycle), clock, car, log);
+            self.take_pulses(&report, Some(report.cycle), car, log);
         }
         if let Some(frame) = self.frames.cut_off() {
-            self.log(&frame, clock, log);
+            self.log(&frame, log);
         }
     }
 
@@ -173,16 +166,16 @@ impl Image {
         self.frames.jitter as f64 / CYCLES_PER_US as f64
     }
 
-    pub(super) fn take_imu(&mut self, cycle: u64, reading: Motion) {
+    pub(super) fn take_imu(&mut self, now_us: u64, reading: Motion) {
         // While the processor does not run, only the last sample matters.
         if self.motion.len() > 100 {
             self.motion.clear();
         }
-        self.motion.push((cycle, reading));
+        self.motion.push((self.clock.cycle_at(now_us), reading));
     }
 
-    pub(super) fn restart(&mut self, clock: SkewedClock, now_us: u64, cause: ResetCause) {
-        let until = clock.cycle_at(now_us);
+    pub(super) fn restart(&mut self, now_us: u64, cause: ResetCause) {
+        let until = self.clock.cycle_at(now_us);
         let motion = std::mem::take(&mut self.motion);
         self.ask(&Request::Run(Run {
             until,
@@ -207,22 +200,19 @@ impl Image {
             return false;
         }
         self.next_event_us = (now_us / STEP_US + 1) * STEP_US;
-        let clock = environment.clock;
-        let mut received = Vec::new();
-        environment
-            .wire
-            .board_read_timed(now_us, |arrival_us, byte| {
-                received.push((clock.cycle_at(arrival_us), byte));
-                environment.monitor.host_byte(
-                    byte,
-                    arrival_us,
-                    local_time(&clock, environment.started_us, arrival_us),
-                );
-            });
+        let (clock, started_us) = (self.clock, environment.started_us);
+        let (mut received, wire) = (Vec::new(), &mut *environment.wire);
+        wire.board_read_timed(now_us, |arrival_us, byte| {
+            received.push((clock.cycle_at(arrival_us), byte));
+            let board_time_us = local_time(&clock, started_us, arrival_us);
+            environment
+                .monitor
+                .host_byte(byte, arrival_us, board_time_us);
+        });
         let run = Run {
             until: clock.cycle_at(now_us),
             received,
-            motor_edges: self.motor_edges(environment.car, &clock),
+            motor_edges: self.motor_edges(environment.car),
             motion: std::mem::take(&mut self.motion),
             battery_mv: battery_mv(environment.car, environment.battery_noise),
             supply_mv: supply_mv(environment.car),
@@ -238,43 +228,35 @@ impl Image {
 
     /// The edges since the last call. The car knows only their number and the time
     /// of the last one; its speed is taken as constant for a millisecond.
-    fn motor_edges(&mut self, car: &Car, clock: &SkewedClock) -> Vec<u64> {
+    fn motor_edges(&mut self, car: &Car) -> Vec<u64> {
         let edges = car.motor_pulses();
         let new = u64::from(edges.count.wrapping_sub(self.edges.count));
         self.edges = edges;
         let Some(last_us) = edges.last_us else {
             return Vec::new();
         };
-        let last = clock.cycle_at(last_us);
+        let last = self.clock.cycle_at(last_us);
         let between = STEP_US * CYCLES_PER_US / (new + 1);
-        (0..new)
-            .rev()
-            .map(|before| last.saturating_sub(before * between))
-            .collect()
+        let edge = |before| last.saturating_sub(before * between);
+        (0..new).rev().map(edge).collect()
     }
 
     /// Passes the board's outputs to car, line and log.
     fn take(&mut self, report: &Report, environment: &mut Environment<'_>) -> bool {
+        let Environment { car, pulses, .. } = environment;
         self.bytes_overrun = report.bytes_overrun;
         for &(cycle, byte) in &report.transmitted {
             environment.monitor.board_byte(byte);
-            environment
-                .wire
-                .board_sent(environment.clock.when_cycle(cycle), byte);
+            let sent_us = self.clock.when_cycle(cycle);
+            environment.wire.board_sent(sent_us, byte);
         }
-        self.take_pulses(
-            report,
-            report.watchdog_reset,
-            &environment.clock,
-            environment.car,
-            environment.pulses,
-        );
+        self.take_pulses(report, report.watchdog_reset, car, pulses);
         // Its changes reach the car at the end of the step.
         if let Some(&(_, held)) = report.kill_output.last() {
-            environment.car.set_kill_output(held);
+            car.set_kill_output(held);
         }
         if let Some(frame) = self.frames.over(report.cycle) {
-            self.log(&frame, &environment.clock, environment.pulses);
+            self.log(&frame, pulses);
         }
         report.watchdog_reset.is_some()
     }
@@ -284,7 +266,6 @@ impl Image {
         &mut self,
         report: &Report,
         reset: Option<u64>,
-        clock: &SkewedClock,
         car: &mut Car,
         log: &mut PulseLog,
     ) {
@@ -295,14 +276,14 @@ impl Image {
             }
             let cut = reset == Some(pulse.start + pulse.width);
             if let Some(frame) = self.frames.take(pulse, cut) {
-                self.log(&frame, clock, log);
+                self.log(&frame, log);
             }
         }
     }
 
-    fn log(&self, frame: &Frame, clock: &SkewedClock, log: &mut PulseLog) {
+    fn log(&self, frame: &Frame, log: &mut PulseLog) {
         log.push(PulseRecord {
-            time_us: clock.when_cycle(frame.start),
+            time_us: self.clock.when_cycle(frame.start),
             board_time_us: (frame.start.saturating_sub(self.started) / CYCLES_PER_US) as u32,
             servo_us: frame.servo_us,
             esc_us: frame.esc_us,
@@ -311,17 +292,12 @@ impl Image {
     }
 
     /// Sends a request to the process, unless it has failed.
-    fn ask(&mut self, request: &Request) -> Option<Reply> {
+    pub(super) fn ask(&mut self, request: &Request) -> Option<Reply> {
         if self.failure.is_some() {
             return None;
         }
-        match self.process.ask(request) {
-            Ok(reply) => Some(reply),
-            Err(reason) => {
-                self.failure = Some(reason);
-                None
-            }
-        }
+        let reply = self.process.ask(request);
+        reply.map_err(|reason| self.failure = Some(reason)).ok()
     }
 }
 

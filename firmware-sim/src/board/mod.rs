@@ -14,13 +14,13 @@ use singletrack_protocol::{
     COMMAND_TIME_TO_LIVE_US, Decoder, ResetCause, Telemetry, ToBoard, ToHost, UNNAMED,
 };
 use singletrack_settings::section;
-use singletrack_simavr::{BusFault, Figures, Hang, Motion};
+use singletrack_simavr::{BusFault, Figures, Hang, Motion, Request};
 
 use self::{image::Image, native::Native};
 use crate::{
     car::Car,
     clock::SkewedClock,
-    pulses::{PulseFilter, PulseLog, PulseRecord},
+    pulses::{PulseFilter, PulseLog, PulseRecord, push_bounded},
     random::{Random, Stream},
     wire::SerialWire,
 };
@@ -138,20 +138,17 @@ pub struct SimulatedBoard {
 
 impl SimulatedBoard {
     pub(crate) fn new(parameters: BoardParameters, seed: u64) -> Result<Self, UnoError> {
+        let (until_us, cause) = (parameters.start_up_us, ResetCause::PowerOn);
+        let offset_us = parameters.clock_offset_us.into();
+        let clock = SkewedClock::new(offset_us, parameters.clock_skew_ppm);
         Ok(Self {
-            clock: SkewedClock::new(
-                u64::from(parameters.clock_offset_us),
-                parameters.clock_skew_ppm,
-            ),
+            clock,
             bootloader: Random::new(seed, Stream::Bootloader),
             battery_noise: Random::new(seed, Stream::Battery),
-            phase: PowerState::Starting {
-                until_us: parameters.start_up_us,
-                cause: ResetCause::PowerOn,
-            },
+            phase: PowerState::Starting { until_us, cause },
             machine: match parameters.kind {
-                BoardKind::Native => Machine::Native(Box::new(Native::new(parameters))),
-                BoardKind::Uno => Machine::Image(Box::new(Image::start(&Installation::find()?)?)),
+                BoardKind::Native => Machine::Native(Box::new(Native::new(parameters, cause))),
+                BoardKind::Uno => Machine::Image(Box::new(Image::start(clock)?)),
             },
             stop_input_open: false,
             resets: 0,
@@ -246,7 +243,7 @@ impl SimulatedBoard {
     pub fn hang(&mut self, hang: Hang) {
         match &mut self.machine {
             Machine::Native(native) => native.hung = true,
-            Machine::Image(image) => image.hang(hang),
+            Machine::Image(image) => drop(image.ask(&Request::Hang(hang))),
         }
     }
 
@@ -255,7 +252,7 @@ impl SimulatedBoard {
     pub fn set_imu_bus(&mut self, fault: BusFault) {
         match &mut self.machine {
             Machine::Native(native) => native.imu_is_silent = fault != BusFault::None,
-            Machine::Image(image) => image.set_bus(fault),
+            Machine::Image(image) => drop(image.ask(&Request::SetBus(fault))),
         }
     }
 
@@ -269,28 +266,17 @@ impl SimulatedBoard {
             _ => self.parameters.start_up_us,
         };
         self.resets += 1;
-        self.leave(
-            now_us,
-            PowerState::Starting {
-                until_us: now_us + duration,
-                cause,
-            },
-            car,
-        );
+        let until_us = now_us + duration;
+        self.leave(now_us, PowerState::Starting { until_us, cause }, car);
     }
 
     pub(crate) fn set_power(&mut self, now_us: u64, on: bool, car: &mut Car) {
-        match (&self.phase, on) {
-            (PowerState::Off, true) => {
-                self.phase = PowerState::Starting {
-                    until_us: now_us + self.parameters.start_up_us,
-                    cause: ResetCause::PowerOn,
-                };
-            }
-            (PowerState::Starting { .. } | PowerState::Running { .. }, false) => {
-                self.leave(now_us, PowerState::Off, car);
-            }
-            _ => {}
+        if on && !self.has_power() {
+            let until_us = now_us + self.parameters.start_up_us;
+            let cause = ResetCause::PowerOn;
+            self.phase = PowerState::Starting { until_us, cause };
+        } else if !on && self.has_power() {
+            self.leave(now_us, PowerState::Off, car);
         }
     }
 
@@ -302,14 +288,12 @@ impl SimulatedBoard {
         // The pin floats, and its pull-down holds it.
         car.set_kill_output(false);
         if let Machine::Image(image) = &mut self.machine {
-            image.hold(&self.clock, car, &mut self.pulses);
+            image.hold(car, &mut self.pulses);
         }
         self.pulses.push(PulseRecord {
             time_us: now_us,
             board_time_us,
-            servo_us: 0,
-            esc_us: 0,
-            cut: false,
+            ..PulseRecord::default()
         });
     }
 
@@ -332,7 +316,7 @@ impl SimulatedBoard {
                 }
             }
             // The sensor measures even if the board does not run.
-            Machine::Image(image) => image.take_imu(self.clock.cycle_at(now_us), reading),
+            Machine::Image(image) => image.take_imu(now_us, reading),
         }
     }
 
@@ -351,7 +335,7 @@ impl SimulatedBoard {
             wire.board_read(now_us, &mut self.received);
             match &mut self.machine {
                 Machine::Native(native) => native.restart(cause),
-                Machine::Image(image) => image.restart(self.clock, now_us, cause),
+                Machine::Image(image) => image.restart(now_us, cause),
             }
             self.phase = PowerState::Running { started_us: now_us };
         }
@@ -432,20 +416,16 @@ struct Monitor {
 impl Monitor {
     /// Processes a byte to the board.
     fn host_byte(&mut self, byte: u8, time_us: u64, board_time_us: u32) {
-        let Some(Ok(packet)) = self.inbound.push(byte) else {
+        let packet = self.inbound.push(byte);
+        let Some(Ok(Ok(message))) = packet.map(|packet| packet.map(ToBoard::decode)) else {
             return;
         };
-        let Ok(message) = ToBoard::decode(packet) else {
-            return;
-        };
-        if self.received.len() >= CAPACITY {
-            self.received.pop_front();
-        }
-        self.received.push_back(ReceivedMessage {
+        let received = ReceivedMessage {
             time_us,
             board_time_us,
             message,
-        });
+        };
+        push_bounded(&mut self.received, received, CAPACITY);
         let telemetry_time_us = match message {
             ToBoard::Drive(drive) => drive.telemetry_time_us,
             ToBoard::Jog(jog) => jog.telemetry_time_us,

@@ -69,10 +69,10 @@ pub(super) struct Native {
 }
 
 impl Native {
-    pub(super) fn new(parameters: BoardParameters) -> Self {
+    pub(super) fn new(parameters: BoardParameters, cause: ResetCause) -> Self {
         Self {
             parameters,
-            board: Board::new(ResetCause::PowerOn, VERSION, parameters.car_id),
+            board: Board::new(cause, VERSION, parameters.car_id),
             polls: 0,
             frames: 0,
             next_event_us: 0,
@@ -87,19 +87,16 @@ impl Native {
 
     pub(super) fn restart(&mut self, cause: ResetCause) {
         *self = Self {
-            board: Board::new(cause, VERSION, self.parameters.car_id),
             imu_is_silent: self.imu_is_silent,
-            ..Self::new(self.parameters)
+            ..Self::new(self.parameters, cause)
         };
     }
 
     pub(super) fn take_imu(&mut self, board_time_us: u32, reading: Motion) {
         if !self.imu_is_silent {
             // The sensor turns its values to the car's axes.
-            let axes = self
-                .board
-                .configuration()
-                .map_or(ImuAxes::AS_PRINTED, |configuration| configuration.imu_axes);
+            let known = self.board.configuration();
+            let axes = known.map_or(ImuAxes::AS_PRINTED, |known| known.imu_axes);
             let motion = reading.remapped(axis_map(axes));
             self.inputs.imu = Some(ImuSample {
                 time_us: board_time_us,
@@ -110,25 +107,16 @@ impl Native {
         }
     }
 
-    pub(super) fn run(&mut self, environment: Environment<'_>) {
-        let Environment {
-            now_us,
-            started_us,
-            clock,
-            stop_input_open,
-            battery_noise,
-            car,
-            wire,
-            pulses,
-            filter,
-            monitor,
-        } = environment;
+    pub(super) fn run(&mut self, mut environment: Environment<'_>) {
+        let Environment { now_us, clock, .. } = environment;
+        let started_us = environment.started_us;
         let board_time_us = local_time(&clock, started_us, now_us);
         let elapsed = clock.at(now_us - started_us) - clock.at(0);
         if self.polls * self.parameters.poll_period_us <= elapsed {
             self.polls = elapsed / self.parameters.poll_period_us + 1;
             if !self.hung {
                 self.last_poll_us = board_time_us;
+                let car = &*environment.car;
                 let edges = car.motor_pulses();
                 self.edges.take(edges.count, elapsed / TICK_US);
                 self.inputs.edges_refused = self.edges.refused;
@@ -136,7 +124,7 @@ impl Native {
                     count: self.edges.accepted,
                     last_edge_us: local_time(&clock, started_us, edges.last_us.unwrap_or(0)),
                 };
-                self.inputs.battery_mv = battery_mv(car, battery_noise);
+                self.inputs.battery_mv = battery_mv(car, environment.battery_noise);
                 self.inputs.supply_mv = supply_mv(car);
                 self.inputs.battery_open = car.parameters.battery.divider_open;
                 let health = car.parameters.imu.registers();
@@ -146,37 +134,35 @@ impl Native {
                     status: health.status,
                     error: health.error,
                 };
-                self.inputs.stop_input_open = stop_input_open;
+                self.inputs.stop_input_open = environment.stop_input_open;
                 self.received.clear();
-                wire.board_read(now_us, &mut self.received);
+                environment.wire.board_read(now_us, &mut self.received);
                 let room = self.parameters.receive_buffer;
                 let lost = self.received.len().saturating_sub(room);
                 self.received.truncate(room);
                 self.inputs.bytes_overrun = self.inputs.bytes_overrun.wrapping_add(lost as u16);
+                let Environment { wire, monitor, .. } = &mut environment;
                 for &byte in &self.received {
                     monitor.host_byte(byte, now_us, board_time_us);
                 }
                 let room = self.parameters.transmit_buffer;
-                self.board.poll(
-                    board_time_us,
-                    &self.inputs,
-                    &self.received,
-                    &mut |frame: &[u8]| {
-                        let fits = wire.board_backlog(now_us) + frame.len() <= room;
-                        if fits {
-                            wire.board_write(now_us, frame);
-                            for &byte in frame {
-                                monitor.board_byte(byte);
-                            }
-                        }
-                        fits
-                    },
-                );
+                let mut send = |frame: &[u8]| {
+                    let fits = wire.board_backlog(now_us) + frame.len() <= room;
+                    if fits {
+                        wire.board_write(now_us, frame);
+                        frame.iter().for_each(|byte| monitor.board_byte(*byte));
+                    }
+                    fits
+                };
+                let Self {
+                    inputs, received, ..
+                } = self;
+                self.board.poll(board_time_us, inputs, received, &mut send);
             }
         }
         let mut power_on = self.power_on(board_time_us);
-        filter.power(&mut power_on);
-        car.set_kill_output(power_on);
+        environment.filter.power(&mut power_on);
+        environment.car.set_kill_output(power_on);
         if self.frames * SERVO_FRAME_US <= elapsed {
             self.frames = elapsed / SERVO_FRAME_US + 1;
             let (servo_us, esc_us) = self.pulses(board_time_us);
@@ -187,13 +173,13 @@ impl Native {
                 esc_us,
                 cut: false,
             };
-            filter.frame(&mut frame);
-            car.apply_pulses(frame.servo_us, frame.esc_us);
-            pulses.push(frame);
+            environment.filter.frame(&mut frame);
+            environment.car.apply_pulses(frame.servo_us, frame.esc_us);
+            environment.pulses.push(frame);
         }
         if self.next_event_us <= now_us {
-            let elapsed =
-                (self.polls * self.parameters.poll_period_us).min(self.frames * SERVO_FRAME_US);
+            let poll = self.polls * self.parameters.poll_period_us;
+            let elapsed = poll.min(self.frames * SERVO_FRAME_US);
             self.next_event_us = started_us + clock.when_elapsed(elapsed);
         }
     }

@@ -4,7 +4,7 @@ mod parameters;
 #[cfg(test)]
 mod tests;
 
-use std::{collections::VecDeque, iter};
+use std::collections::VecDeque;
 
 use libm::{cos, sin, sincos};
 use parameters::stream;
@@ -164,35 +164,27 @@ impl Cameras {
     /// The decoys, in the streamed axes.
     fn measure_decoys(&mut self, now_us: u64) -> Vec<RigidBody> {
         let (p, noise) = (&self.parameters, &mut self.decoy_noise);
-        let motions = self.motions.iter().map(Some).chain(iter::repeat(None));
-        let last = self
-            .last_decoys
-            .drain(..)
-            .map(Some)
-            .chain(iter::repeat(None));
-        let measure =
-            |((decoy, motion), last): ((&DecoyBody, Option<&DecoyMotion>), Option<RigidBody>)| {
-                let mut position = decoy.position_m;
-                // What nobody moves is no measurement: it repeats to the bit.
-                if let Some(motion) = motion {
-                    let elapsed_s = (now_us as f64 - motion.at_us as f64) * 1e-6;
-                    let noise = noise.normal3(p.position_noise_m);
-                    for axis in 0..2 {
-                        position[axis] = motion.position_m[axis]
-                            + motion.velocity_m_s[axis] * elapsed_s
-                            + noise[axis];
-                    }
+        let decoys = p.decoys.iter().enumerate().map(|(index, decoy)| {
+            let (motion, mut position) = (self.motions.get(index), decoy.position_m);
+            // What nobody moves is no measurement: it repeats to the bit.
+            if let Some(motion) = motion {
+                let elapsed_s = (now_us as f64 - motion.at_us as f64) * 1e-6;
+                let noise = noise.normal3(p.position_noise_m);
+                for axis in 0..2 {
+                    position[axis] = motion.position_m[axis]
+                        + motion.velocity_m_s[axis] * elapsed_s
+                        + noise[axis];
                 }
-                let position = stream(p.up_axis, position).map(|x| x as f32);
-                let now = RigidBody::tracked(decoy.id, position, [0.0, 0.0, 0.0, 1.0]);
-                match motion.map_or(Sight::Now, |motion| motion.seen) {
-                    Sight::Now => now,
-                    Sight::Frozen => last.unwrap_or(now),
-                    Sight::Not => now.with_tracking_valid(false),
-                }
-            };
-        let decoys = p.decoys.iter().zip(motions).zip(last);
-        let decoys: Vec<_> = decoys.map(measure).collect();
+            }
+            let position = stream(p.up_axis, position).map(|x| x as f32);
+            let now = RigidBody::tracked(decoy.id, position, [0.0, 0.0, 0.0, 1.0]);
+            match motion.map_or(Sight::Now, |motion| motion.seen) {
+                Sight::Now => now,
+                Sight::Frozen => self.last_decoys.get(index).copied().unwrap_or(now),
+                Sight::Not => now.with_tracking_valid(false),
+            }
+        });
+        let decoys: Vec<_> = decoys.collect();
         self.last_decoys.clone_from(&decoys);
         decoys
     }
@@ -213,9 +205,8 @@ impl Cameras {
         let now_us = truth.time_us;
         self.exposures += 1;
         let p = &self.parameters;
-        self.next_exposure_us = self
-            .clock
-            .when_elapsed(p.phase_us + self.exposures * p.period_us.max(1));
+        let elapsed_us = p.phase_us + self.exposures * p.period_us.max(1);
+        self.next_exposure_us = self.clock.when_elapsed(elapsed_us);
         self.counters.exposed += 1;
         let measured = self.measure(truth);
         let loss = self.faults.loss.or_else(|| self.scheduled_loss(now_us));
@@ -292,23 +283,17 @@ impl Cameras {
 
     /// The next frame that is due.
     pub(crate) fn take_frame(&mut self, now_us: u64) -> Option<CameraFrame> {
-        if self.under_way.front()?.sent_us > now_us {
-            return None;
-        }
-        let frame = self.under_way.pop_front()?;
-        if !frame.silent {
-            self.counters.sent += 1;
-        }
+        let is_due = |frame: &mut CameraFrame| frame.sent_us <= now_us;
+        let frame = self.under_way.pop_front_if(is_due)?;
+        self.counters.sent += u64::from(!frame.silent);
         Some(frame)
     }
 
     fn scheduled_loss(&self, now_us: u64) -> Option<LossKind> {
-        let since_epoch_us = now_us.checked_sub(self.loss_epoch_us?)?;
+        let since_us = now_us.checked_sub(self.loss_epoch_us?)?;
         let p = &self.parameters;
-        let lost = p.loss.is_some_and(|loss| loss.is_lost(since_epoch_us))
-            || p.loss_windows
-                .iter()
-                .any(|window| window.is_lost(since_epoch_us));
+        let lost = p.loss.is_some_and(|loss| loss.is_lost(since_us))
+            || p.loss_windows.iter().any(|window| window.is_lost(since_us));
         lost.then_some(p.loss_kind)
     }
 

@@ -187,10 +187,8 @@ impl Hands {
     pub(crate) fn motion(&self, now_us: u64) -> Option<HandledMotion> {
         let under_way = self.under_way?;
         let since = under_way.since(now_us);
-        under_way
-            .roll(since)
-            .is_none()
-            .then(|| under_way.motion(since))
+        let is_rolled = under_way.roll(since).is_some();
+        (!is_rolled).then(|| under_way.motion(since))
     }
 }
 

@@ -137,7 +137,6 @@ impl ImuFault {
         number: u64,
     ) -> Option<Motion> {
         match self {
-            Self::None => {}
             Self::Silent => return None,
             Self::Stuck => reading = last.unwrap_or(reading),
             Self::Biased {
@@ -154,31 +153,22 @@ impl ImuFault {
                 reading.linear_acceleration_mm_s2 = [i16::MIN; 3];
                 reading.attitude_q14 = [i16::MAX; 4];
             }
-            Self::Erratic => {
-                if number % 2 == 1 {
-                    let negative = i16::saturating_neg;
-                    reading.angular_velocity_mrad_s = reading.angular_velocity_mrad_s.map(negative);
-                    reading.linear_acceleration_mm_s2 =
-                        reading.linear_acceleration_mm_s2.map(negative);
-                }
+            Self::Erratic if number % 2 == 1 => {
+                let negative = |values: [i16; 3]| values.map(i16::saturating_neg);
+                reading.angular_velocity_mrad_s = negative(reading.angular_velocity_mrad_s);
+                reading.linear_acceleration_mm_s2 = negative(reading.linear_acceleration_mm_s2);
             }
+            Self::None | Self::Erratic => {}
             Self::WrongBit { every } => {
                 let every = u64::from(every.max(1));
                 if number.is_multiple_of(every) {
                     let turn = number / every;
-                    let bit = if turn.is_multiple_of(2) {
-                        i16::MIN
-                    } else {
-                        1 << 14
-                    };
+                    // Two of three are the yaw rate.
+                    let (is_odd, is_attitude) = (turn % 2 == 1, turn.is_multiple_of(3));
+                    let bit = if is_odd { 1 << 14 } else { i16::MIN };
+                    let place = if is_attitude { turn / 3 % 4 } else { 4 };
                     let [_, _, yaw_rate] = &mut reading.angular_velocity_mrad_s;
                     let words = reading.attitude_q14.iter_mut().chain([yaw_rate]);
-                    // Two of three are the yaw rate.
-                    let place = if turn.is_multiple_of(3) {
-                        turn / 3 % 4
-                    } else {
-                        4
-                    };
                     if let Some(word) = words.zip(0..).find(|(_, at)| *at == place) {
                         *word.0 ^= bit;
                     }
@@ -250,11 +240,8 @@ impl Imu {
         let tilt = self.attitude_random.normal3(p.attitude_noise_rad);
 
         let mut rate = [truth.roll_rate, truth.pitch_rate, truth.yaw_rate];
-        let mut acceleration = [
-            truth.longitudinal_acceleration,
-            truth.lateral_acceleration,
-            0.0,
-        ];
+        let (along, across) = (truth.longitudinal_acceleration, truth.lateral_acceleration);
+        let mut acceleration = [along, across, 0.0];
         let [mut roll, mut pitch] = [truth.roll, truth.pitch];
         if let Some(leak_s) = p.leak_s {
             let share = 1.0 - libm::exp(-(p.period_us as f64) * 1e-6 / leak_s);
@@ -269,50 +256,40 @@ impl Imu {
         }
         let speed = truth.wheel_speed.abs();
         if speed > VIBRATING {
-            for (always, per_speed, values) in [
-                (p.vibration_rad_s, p.vibration_rad_s_per_m_s, &mut rate),
-                (
-                    p.vibration_m_s2,
-                    p.vibration_m_s2_per_m_s,
-                    &mut acceleration,
-                ),
-            ] {
-                let deviation = always + per_speed * speed;
+            let mut vibrate = |deviation: f64, values: &mut [f64; 3]| {
                 if deviation > 0.0 {
                     let vibration = self.vibration_random.normal3(deviation);
-                    values
-                        .iter_mut()
-                        .zip(vibration)
-                        .for_each(|(value, vibration)| *value += vibration);
+                    for (value, vibration) in values.iter_mut().zip(vibration) {
+                        *value += vibration;
+                    }
                 }
-            }
+            };
+            vibrate(
+                p.vibration_rad_s + p.vibration_rad_s_per_m_s * speed,
+                &mut rate,
+            );
+            let deviation = p.vibration_m_s2 + p.vibration_m_s2_per_m_s * speed;
+            vibrate(deviation, &mut acceleration);
         }
         rate = rate.map(|rate| rate * p.gyro_scale);
         acceleration = acceleration.map(|acceleration| acceleration * p.acceleration_scale);
-        let mut attitude = super::quaternion_wxyz(
-            truth.yaw + self.yaw_drift + tilt[2],
-            tilt[0] + roll,
-            tilt[1] + pitch,
-        );
+        let yaw = truth.yaw + self.yaw_drift + tilt[2];
+        let mut attitude = super::quaternion_wxyz(yaw, tilt[0] + roll, tilt[1] + pitch);
         if let Some(mounting) = &self.mounting {
             rate = mounting.into_turned(rate);
             acceleration = mounting.into_turned(acceleration);
             attitude = mounting.after(attitude);
         }
-        let mut angular_velocity_mrad_s = [0; 3];
-        let mut linear_acceleration_mm_s2 = [0; 3];
-        for axis in 0..3 {
-            self.gyro_bias[axis] += walk[axis];
-            angular_velocity_mrad_s[axis] =
-                quantise((rate[axis] + self.gyro_bias[axis] + gyro_noise[axis]) * 1e3);
-            linear_acceleration_mm_s2[axis] = quantise(
-                (acceleration[axis] + self.acceleration_bias[axis] + acceleration_noise[axis])
-                    * 1e3,
-            );
+        for (bias, walk) in self.gyro_bias.iter_mut().zip(walk) {
+            *bias += walk;
         }
+        let quantised = |values: [f64; 3], bias: [f64; 3], noise: [f64; 3]| {
+            core::array::from_fn(|axis| quantise((values[axis] + bias[axis] + noise[axis]) * 1e3))
+        };
+        let bias = self.acceleration_bias;
         let mut reading = Motion {
-            linear_acceleration_mm_s2,
-            angular_velocity_mrad_s,
+            linear_acceleration_mm_s2: quantised(acceleration, bias, acceleration_noise),
+            angular_velocity_mrad_s: quantised(rate, self.gyro_bias, gyro_noise),
             attitude_q14: attitude.map(|component| quantise(component * 16384.0)),
         };
         let whole = reading;

@@ -195,8 +195,8 @@ impl ServoParameters {
     }
 
     fn angle(&self, pulse_us: f64) -> f64 {
-        self.free_angle(pulse_us)
-            .clamp(-self.stop_rad, self.stop_rad)
+        let stop_rad = self.stop_rad;
+        self.free_angle(pulse_us).clamp(-stop_rad, stop_rad)
     }
 
     /// The angle of a pulse without the mechanical stops, in rad.
@@ -240,17 +240,14 @@ pub fn crooked_steering(
     [farther, band_us]: [f64; 2],
 ) -> Vec<[f64; 2]> {
     let half = 0.5 * band_us;
-    let angle = |pulse_us: f64| {
+    let pair = |pulse_us: f64| {
         let beyond = pulse_us - centre_us;
         let angle = (beyond - beyond.clamp(-half, half)) / gain_us_per_rad;
-        angle * (1.0 + farther * angle.signum())
+        [pulse_us, angle * (1.0 + farther * angle.signum())]
     };
     let mut pulses = vec![first_us, centre_us - half, centre_us + half, last_us];
     pulses.dedup();
-    pulses
-        .into_iter()
-        .map(|pulse_us| [pulse_us, angle(pulse_us)])
-        .collect()
+    pulses.into_iter().map(pair).collect()
 }
 
 /// A tilt beyond this is not small, in rad.
@@ -267,19 +264,12 @@ pub(crate) fn quaternion_wxyz(yaw: f64, roll: f64, pitch: f64) -> [f64; 4] {
         (a, b) = (a * scale, b * scale);
     }
     let norm = sqrt(1.0 + a * a + b * b);
-    [
-        c / norm,
-        (a * c - b * s) / norm,
-        (a * s + b * c) / norm,
-        s / norm,
-    ]
+    [c, a * c - b * s, a * s + b * c, s].map(|part| part / norm)
 }
 
-/// How a sensor is turned on the car.
+/// How a sensor is turned on the car: a quaternion w, x, y, z.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Rotation {
-    quaternion_wxyz: [f64; 4],
-}
+pub(crate) struct Rotation([f64; 4]);
 
 impl Rotation {
     /// Roll, pitch and yaw, in degrees; `None` if all are zero.
@@ -291,35 +281,29 @@ impl Rotation {
         let about_z = [cy, 0.0, 0.0, sy];
         let about_y = [cp, 0.0, sp, 0.0];
         let about_x = [cr, sr, 0.0, 0.0];
-        Some(Self {
-            quaternion_wxyz: product(product(about_z, about_y), about_x),
-        })
+        Some(Self(product(product(about_z, about_y), about_x)))
     }
 
     /// A vector of the car along the turned axes.
     pub(crate) fn into_turned(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
-        let [w, a, b, c] = self.quaternion_wxyz;
+        let [w, a, b, c] = self.0;
         let inverse = [w, -a, -b, -c];
-        let [_, x, y, z] = product(product(inverse, [0.0, x, y, z]), self.quaternion_wxyz);
+        let [_, x, y, z] = product(product(inverse, [0.0, x, y, z]), self.0);
         [x, y, z]
     }
 
     /// The attitude of the turned axes on a car with this attitude.
     pub(crate) fn after(self, car_wxyz: [f64; 4]) -> [f64; 4] {
-        product(car_wxyz, self.quaternion_wxyz)
+        product(car_wxyz, self.0)
     }
 }
 
 /// The angles of a sensor whose axes are mounted so.
 pub(crate) fn mounting_deg(axes: ImuAxes) -> [f64; 3] {
-    let direction = |axis: ImuAxis| -> [f64; 3] {
-        core::array::from_fn(
-            |i| match (usize::from(axis.index()) == i, axis.is_negative()) {
-                (false, _) => 0.0,
-                (true, true) => -1.0,
-                (true, false) => 1.0,
-            },
-        )
+    let direction = |axis: ImuAxis| {
+        let mut direction = [0.0; 3];
+        direction[usize::from(axis.index())] = if axis.is_negative() { -1.0 } else { 1.0 };
+        direction
     };
     let right_angles = || [0.0, 90.0, 180.0, 270.0].into_iter();
     let mut mountings = right_angles().flat_map(|roll| {

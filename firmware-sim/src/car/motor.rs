@@ -122,9 +122,10 @@ section! {
 }
 
 /// Action of the ESC on the motor.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum MotorAction {
     /// No drive or brake.
+    #[default]
     Free,
     /// Drives towards this wheel speed at nominal voltage, in m/s.
     Towards(f64),
@@ -133,7 +134,7 @@ pub(crate) enum MotorAction {
 }
 
 /// The ESC: arming, the brake-then-reverse rule, signal loss.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct SpeedController {
     neutral_since_us: Option<u64>,
     pub(crate) armed: bool,
@@ -148,17 +149,6 @@ pub(crate) struct SpeedController {
 const STANDING: f64 = 0.02;
 
 impl SpeedController {
-    pub(crate) const fn new() -> Self {
-        Self {
-            neutral_since_us: None,
-            armed: false,
-            reverse_ready: false,
-            drive: MotorAction::Free,
-            learned: 0,
-            learned_sum_us: 0,
-        }
-    }
-
     /// Releases the motor after a loss of the signal.
     pub(crate) fn release(&mut self) {
         self.neutral_since_us = None;
@@ -250,14 +240,9 @@ impl MotorParameters {
     }
 
     /// The part of the wheels' rotation that moves the car.
-    pub(crate) fn grip(&self, drive: MotorAction, epoch: Epoch, now_us: u64) -> f64 {
-        let driven = matches!(drive, MotorAction::Towards(settled) if settled != 0.0);
+    pub(crate) fn grip(&self, driven: bool, epoch: Epoch, now_us: u64) -> f64 {
         let slips = self.slip_from_s.is_none() || epoch.has_come(self.slip_from_s, now_us);
-        if driven && slips {
-            1.0 - self.slip
-        } else {
-            1.0
-        }
+        1.0 - if driven && slips { self.slip } else { 0.0 }
     }
 
     /// Acceleration of the wheels without gravity, in m/s²; `voltage_share` is the

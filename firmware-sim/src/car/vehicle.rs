@@ -8,17 +8,10 @@ use singletrack_control::{RelaxedSingleTrack, SingleTrackDerivative, SingleTrack
 use super::{
     CarParameters, CarState, MotorPulses, MotorSensorFault, StartPose, Truth,
     hands::{HandMotion, Hands},
-    motor::{Battery, MotorAction, SpeedController},
+    motor::{Battery, MotorAction, Push, SpeedController},
     motor_sensor::MotorSensor,
 };
 use crate::clock::Epoch;
-
-/// A pulse within an actuator's dead time.
-#[derive(Clone, Copy, Debug)]
-struct Pending {
-    due_us: u64,
-    pulse_us: u16,
-}
 
 /// Longest integration step, in µs.
 ///
@@ -38,7 +31,8 @@ pub struct Car {
     /// The pulse that the wheels stand for, in µs: differs from the last one by the play.
     servo_held_us: f64,
     servo_is_reversed: bool,
-    servo_pending: VecDeque<Pending>,
+    /// Pulses within the dead time: when each is due, and its length, in µs.
+    servo_pending: VecDeque<(u64, u16)>,
     esc: SpeedController,
     /// The ESC's switch, and the relay in its supply.
     esc_is_switched_on: bool,
@@ -50,7 +44,7 @@ pub struct Car {
     /// What has happened by the present time.
     happened: Happened,
     way: f64,
-    esc_pending: VecDeque<Pending>,
+    esc_pending: VecDeque<(u64, u16)>,
     esc_last_pulse_us: u64,
     battery: Battery,
     sensor: MotorSensor,
@@ -76,13 +70,6 @@ struct Happened {
     moved_rate: f64,
 }
 
-/// What acts on the motor throughout a step.
-struct StepInputs {
-    drive: MotorAction,
-    /// The battery's voltage over the nominal one.
-    voltage_share: f64,
-}
-
 impl Car {
     /// A car at rest at its start pose at simulation time zero, with straight
     /// wheels and an ESC that has just been powered.
@@ -95,7 +82,7 @@ impl Car {
             servo_held_us: parameters.servo.centre_us,
             servo_is_reversed: false,
             servo_pending: VecDeque::new(),
-            esc: SpeedController::new(),
+            esc: SpeedController::default(),
             esc_is_switched_on: true,
             kill_output: false,
             epoch: Epoch::default(),
@@ -217,7 +204,7 @@ impl Car {
 
     fn cut_esc_without_power(&mut self) {
         if !self.esc_has_power() {
-            self.esc = SpeedController::new();
+            self.esc = SpeedController::default();
             self.esc_pending.clear();
         }
     }
@@ -244,26 +231,17 @@ impl Car {
         let p = &self.parameters;
         let (epoch, now_us) = (self.epoch, self.now_us);
         let was = self.happened;
+        let slips = epoch.has_come(p.servo.slips_at_s, now_us);
+        let throttle_is_stuck = epoch.has_come(p.motor.stuck_from_s, now_us);
+        let moves = |push: &Push| epoch.is_within(Some(push.at_s), push.for_s * 1e3, now_us);
         let happened = Happened {
             servo_is_stuck: epoch.has_come(p.servo.stuck_from_s, now_us),
-            slip: if epoch.has_come(p.servo.slips_at_s, now_us) {
-                p.servo.slip_rad
-            } else {
-                0.0
-            },
+            slip: if slips { p.servo.slip_rad } else { 0.0 },
             supply_dips: epoch.is_within(p.battery.dip_at_s, p.battery.dip_ms, now_us),
             esc_reboots: epoch.is_within(p.motor.reboot_at_s, p.motor.reboot_ms, now_us),
-            throttle: if epoch.has_come(p.motor.stuck_from_s, now_us) {
-                was.throttle.or(Some(self.esc.drive))
-            } else {
-                None
-            },
+            throttle: throttle_is_stuck.then(|| was.throttle.unwrap_or(self.esc.drive)),
             blown: was.blown,
-            moved_at: p.motor.push.and_then(|push| {
-                epoch
-                    .is_within(Some(push.at_s), push.for_s * 1e3, now_us)
-                    .then_some(push.speed_m_s)
-            }),
+            moved_at: p.motor.push.filter(moves).map(|push| push.speed_m_s),
             moved_rate: 0.0,
         };
         let rolled = self.hands.roll(now_us);
@@ -303,23 +281,17 @@ impl Car {
 
     /// Applies one servo frame: both pulses start at the car's present time. Zero
     /// means no pulse.
-    pub fn apply_pulses(&mut self, servo_us: u16, esc_us: u16) {
-        let (servo_us, esc_us) = if self.parameters.swapped_wires {
-            (esc_us, servo_us)
-        } else {
-            (servo_us, esc_us)
-        };
+    pub fn apply_pulses(&mut self, mut servo_us: u16, mut esc_us: u16) {
+        if self.parameters.swapped_wires {
+            core::mem::swap(&mut servo_us, &mut esc_us);
+        }
         if servo_us != 0 && !self.happened.supply_dips && !self.battery.is_unplugged {
-            self.servo_pending.push_back(Pending {
-                due_us: self.now_us + self.parameters.servo.dead_time_us,
-                pulse_us: servo_us,
-            });
+            let due_us = self.now_us + self.parameters.servo.dead_time_us;
+            self.servo_pending.push_back((due_us, servo_us));
         }
         if esc_us != 0 && self.esc_has_power() {
-            self.esc_pending.push_back(Pending {
-                due_us: self.now_us + self.parameters.motor.dead_time_us,
-                pulse_us: esc_us,
-            });
+            let due_us = self.now_us + self.parameters.motor.dead_time_us;
+            self.esc_pending.push_back((due_us, esc_us));
         }
     }
 
@@ -346,12 +318,9 @@ impl Car {
             self.take_events();
             self.take_pulses();
             let mut end = until_us.min(self.now_us + MAX_STEP_US);
-            for pending in [self.servo_pending.front(), self.esc_pending.front()]
-                .into_iter()
-                .flatten()
-            {
+            for pending in [&self.servo_pending, &self.esc_pending] {
                 // A step ends when an actuator's input changes.
-                end = end.min(pending.due_us);
+                end = pending.front().map_or(end, |(due_us, _)| end.min(*due_us));
             }
             self.step(end);
         }
@@ -366,12 +335,8 @@ impl Car {
 
     /// The present ground truth.
     pub fn truth(&self) -> Truth {
-        let CarState {
-            track,
-            steering,
-            wheel_speed,
-        } = self.state;
-        let d = self.derivative(&self.state, &self.inputs());
+        let (track, wheel_speed) = (self.state.track, self.state.wheel_speed);
+        let d = self.derivative(&self.state, self.inputs());
         let (sin_sideslip, cos_sideslip) = sincos(track.sideslip);
         let speed = course_speed(wheel_speed, track.sideslip);
         let speed_rate =
@@ -385,7 +350,7 @@ impl Car {
             yaw: track.yaw,
             yaw_rate: track.yaw_rate,
             sideslip: track.sideslip,
-            steering,
+            steering: self.state.steering,
             speed,
             wheel_speed,
             longitudinal_acceleration: speed_rate * cos_sideslip - turning * sin_sideslip,
@@ -396,8 +361,7 @@ impl Car {
             pitch,
             held: self.hands.holds(),
             height: self.hands.stand,
-            roll_rate: 0.0,
-            pitch_rate: 0.0,
+            ..Truth::default()
         };
         self.truth_in_hands(free)
     }
@@ -444,21 +408,17 @@ impl Car {
     }
 
     fn take_pulses(&mut self) {
-        while let Some(pending) = due(&mut self.servo_pending, self.now_us) {
-            let servo = &self.parameters.servo;
-            self.servo_target =
-                servo.target_with_backlash(&mut self.servo_held_us, pending.pulse_us);
+        let (now_us, speed) = (self.now_us, self.state.wheel_speed);
+        let CarParameters { servo, motor, .. } = &self.parameters;
+        let is_due = |(due_us, _): &mut (u64, u16)| *due_us <= now_us;
+        while let Some((_, pulse_us)) = self.servo_pending.pop_front_if(is_due) {
+            self.servo_target = servo.target_with_backlash(&mut self.servo_held_us, pulse_us);
         }
-        while let Some(pending) = due(&mut self.esc_pending, self.now_us) {
-            self.esc_last_pulse_us = self.now_us;
-            self.esc.pulse(
-                &self.parameters.motor,
-                pending.pulse_us,
-                self.now_us,
-                self.state.wheel_speed,
-            );
+        while let Some((_, pulse_us)) = self.esc_pending.pop_front_if(is_due) {
+            self.esc_last_pulse_us = now_us;
+            self.esc.pulse(motor, pulse_us, now_us, speed);
         }
-        if self.now_us - self.esc_last_pulse_us > self.parameters.motor.signal_loss_us {
+        if now_us - self.esc_last_pulse_us > motor.signal_loss_us {
             self.esc.release();
         }
     }
@@ -468,10 +428,10 @@ impl Car {
         let h = (end_us - start_us) as f64 * 1e-6;
         let s = self.state;
         let inputs = self.inputs();
-        let k1 = self.derivative(&s, &inputs);
-        let k2 = self.derivative(&s.plus(&k1, h / 2.0), &inputs);
-        let k3 = self.derivative(&s.plus(&k2, h / 2.0), &inputs);
-        let k4 = self.derivative(&s.plus(&k3, h), &inputs);
+        let k1 = self.derivative(&s, inputs);
+        let k2 = self.derivative(&s.plus(&k1, h / 2.0), inputs);
+        let k3 = self.derivative(&s.plus(&k2, h / 2.0), inputs);
+        let k4 = self.derivative(&s.plus(&k3, h), inputs);
         let mut next = s
             .plus(&k1, h / 6.0)
             .plus(&k2, h / 3.0)
@@ -493,13 +453,9 @@ impl Car {
         {
             next.wheel_speed = 0.0;
         }
-        self.battery.draw(
-            &self.parameters.battery,
-            driven,
-            s.wheel_speed,
-            k1.wheel_speed,
-            h,
-        );
+        let battery = &self.parameters.battery;
+        self.battery
+            .draw(battery, driven, s.wheel_speed, k1.wheel_speed, h);
         if let Some(moved) = self.hands.motion(end_us) {
             next.track = standing(moved.place.position, moved.place.yaw);
             if !self.hands.wheels_are_up(end_us) {
@@ -511,7 +467,7 @@ impl Car {
         if !self.hands.holds() {
             self.way += (rolled / cos(next.track.sideslip).max(0.5)).abs();
         }
-        let grip = motor.grip(self.drive(), self.epoch, start_us);
+        let grip = motor.grip(driven, self.epoch, start_us);
         let sensor = &self.parameters.motor_sensor;
         self.sensor
             .roll(sensor, self.sensor_fault, rolled / grip, start_us, end_us);
@@ -520,14 +476,14 @@ impl Car {
         self.now_us = end_us;
     }
 
-    fn inputs(&self) -> StepInputs {
-        StepInputs {
-            drive: self.drive(),
-            voltage_share: self.battery_v() / self.parameters.battery.nominal_v,
-        }
+    /// What acts on the motor throughout a step: the ESC, and the battery's voltage over the
+    /// nominal one.
+    fn inputs(&self) -> (MotorAction, f64) {
+        let voltage_share = self.battery_v() / self.parameters.battery.nominal_v;
+        (self.drive(), voltage_share)
     }
 
-    fn derivative(&self, s: &CarState, inputs: &StepInputs) -> CarState {
+    fn derivative(&self, s: &CarState, inputs: (MotorAction, f64)) -> CarState {
         let d = if self.hands.holds() && self.happened.moved_at.is_none() {
             SingleTrackDerivative::default()
         } else {
@@ -553,23 +509,17 @@ impl Car {
     }
 
     /// Acceleration of the wheels, in m/s².
-    fn wheel_acceleration(&self, s: &CarState, inputs: &StepInputs) -> f64 {
+    fn wheel_acceleration(&self, s: &CarState, (drive, voltage_share): (MotorAction, f64)) -> f64 {
         if self.happened.moved_at.is_some() {
             return self.happened.moved_rate;
         }
         let motor = &self.parameters.motor;
-        let StepInputs {
-            drive,
-            voltage_share,
-        } = *inputs;
+        if self.hands.holds() && !self.wheels_are_up() {
+            return 0.0;
+        }
         if self.hands.holds() {
-            return if self.wheels_are_up() {
-                motor
-                    .wheels_up()
-                    .acceleration(drive, s.wheel_speed, voltage_share)
-            } else {
-                0.0
-            };
+            let motor = motor.wheels_up();
+            return motor.acceleration(drive, s.wheel_speed, voltage_share);
         }
         let acceleration = motor.acceleration(drive, s.wheel_speed, voltage_share);
         let downhill = motor.downhill(s.track.yaw);
@@ -597,8 +547,4 @@ fn standing([x, y]: [f64; 2], yaw: f64) -> SingleTrackState {
 fn course_speed(wheel_speed: f64, sideslip: f64) -> f64 {
     // A large sideslip does not increase the speed.
     wheel_speed / cos(sideslip).max(0.5)
-}
-
-fn due(queue: &mut VecDeque<Pending>, now_us: u64) -> Option<Pending> {
-    (queue.front()?.due_us <= now_us).then(|| queue.pop_front())?
 }

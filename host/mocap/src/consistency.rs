@@ -51,25 +51,22 @@ pub(crate) struct Sequence {
 impl Sequence {
     pub(crate) fn place(&mut self, number: i32, clock: u64) -> Order {
         let mark = Mark { number, clock };
-        let Some(newest) = self.newest else {
-            self.accept(mark);
-            return Order::Newest { lost: 0 };
-        };
-        let ahead = mark.ahead_of(newest);
-        if ahead == 0 {
+        let ahead = self.newest.map_or(1, |newest| mark.ahead_of(newest));
+        let newest_clock = self.newest.map_or(0, |newest| newest.clock);
+        let order = if ahead == 0 {
             return Order::Duplicate;
-        }
-        if ahead > 0 && clock >= newest.clock {
-            self.accept(mark);
-            return Order::Newest {
-                lost: u64::from(ahead.unsigned_abs()) - 1,
-            };
-        }
-        if ahead < 0 && clock > newest.clock {
-            self.accept(mark);
-            return Order::Renumbered;
-        }
-        self.suspect(number, clock)
+        } else if ahead > 0 && clock >= newest_clock {
+            let lost = u64::from(ahead.unsigned_abs()) - 1;
+            Order::Newest { lost }
+        } else if ahead < 0 && clock > newest_clock {
+            Order::Renumbered
+        } else {
+            return self.suspect(number, clock);
+        };
+        self.newest = Some(mark);
+        self.suspect = None;
+        self.suspects = 0;
+        order
     }
 
     /// A frame that can't continue the stream. Many that follow each other mean that the
@@ -86,12 +83,6 @@ impl Sequence {
         } else {
             Order::Late
         }
-    }
-
-    const fn accept(&mut self, mark: Mark) {
-        self.newest = Some(mark);
-        self.suspect = None;
-        self.suspects = 0;
     }
 }
 

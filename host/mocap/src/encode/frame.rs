@@ -60,7 +60,7 @@ pub fn frame(
     content: &FrameContent<'_>,
     out: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::Frame);
+    let mut writer = Writer::new(out);
     writer.i32(content.number, "frame number");
     writer.section(
         version,
@@ -119,7 +119,7 @@ pub fn frame(
     }
     writer.u16(content.flags.0, "frame flags");
     writer.i32(0, "end tag");
-    writer.finish()
+    writer.finish(MessageId::Frame)
 }
 
 /// Writes a message. [`finish`](Self::finish) returns the first error; nothing is written after it.
@@ -130,17 +130,17 @@ pub(super) struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    /// Begins a message; its length is filled in by [`finish`](Self::finish).
-    pub(super) fn message(out: &'a mut [u8], id: MessageId) -> Self {
+    /// Begins a message, with room for the header.
+    pub(super) fn new(out: &'a mut [u8]) -> Self {
         let (len, error) = (0, None);
         let mut writer = Self { out, len, error };
-        writer.u16(id as u16, "message id");
+        writer.u16(0, "message id");
         writer.u16(0, "payload length");
         writer
     }
 
-    /// Completes the header and returns the datagram's length.
-    pub(super) fn finish(self) -> Result<usize, EncodeError> {
+    /// Fills in the header and returns the datagram's length.
+    pub(super) fn finish(self, id: MessageId) -> Result<usize, EncodeError> {
         if let Some(error) = self.error {
             return Err(error);
         }
@@ -152,8 +152,9 @@ impl<'a> Writer<'a> {
         }
         // No datagram is as long as the number allows.
         let payload = self.len.saturating_sub(HEADER_LEN) as u16;
-        if let Some(slot) = self.out.get_mut(2..4) {
-            slot.copy_from_slice(&payload.to_le_bytes());
+        if let Some((header, _)) = self.out.split_first_chunk_mut() {
+            let ([a, b], [c, d]) = ((id as u16).to_le_bytes(), payload.to_le_bytes());
+            *header = [a, b, c, d];
         }
         Ok(self.len)
     }

@@ -57,17 +57,8 @@ pub enum EncodeError {
 /// # Errors
 /// The buffer is too small, or a text contains a NUL or is too long.
 pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Result<usize, EncodeError> {
+    let mut writer = Writer::new(out);
     let id = match message {
-        ClientMessage::Connect(_) => MessageId::Connect,
-        ClientMessage::Request(_) => MessageId::Request,
-        ClientMessage::RequestModelDefinitions => MessageId::RequestModelDefinitions,
-        ClientMessage::KeepAlive => MessageId::KeepAlive,
-        ClientMessage::Disconnect => MessageId::Disconnect,
-        ClientMessage::EchoRequest { .. } => MessageId::EchoRequest,
-        ClientMessage::Discovery => MessageId::Discovery,
-    };
-    let mut writer = Writer::message(out, id);
-    match message {
         ClientMessage::Connect(connect) => {
             writer.padded_name::<SENDER_NAME_LEN>(connect.name, "client name");
             writer.bytes(&[0; 4], "client application version");
@@ -75,17 +66,22 @@ pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Result<usi
             writer.u8(0, "subscribed data only");
             let requested = connect.requested_bitstream.unwrap_or_default();
             writer.bytes(&requested, "requested bitstream");
+            MessageId::Connect
         }
-        ClientMessage::Request(text) => writer.c_bytes(text.as_bytes(), "request"),
+        ClientMessage::Request(text) => {
+            writer.c_bytes(text.as_bytes(), "request");
+            MessageId::Request
+        }
         ClientMessage::EchoRequest { client_stamp } => {
             writer.u64(*client_stamp, "echo client stamp");
+            MessageId::EchoRequest
         }
-        ClientMessage::RequestModelDefinitions
-        | ClientMessage::KeepAlive
-        | ClientMessage::Disconnect
-        | ClientMessage::Discovery => {}
-    }
-    writer.finish()
+        ClientMessage::RequestModelDefinitions => MessageId::RequestModelDefinitions,
+        ClientMessage::KeepAlive => MessageId::KeepAlive,
+        ClientMessage::Disconnect => MessageId::Disconnect,
+        ClientMessage::Discovery => MessageId::Discovery,
+    };
+    writer.finish(id)
 }
 
 /// Encodes the answer to CONNECT: the long form when `info` has a connection
@@ -94,7 +90,7 @@ pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Result<usi
 /// # Errors
 /// The buffer is too small, or the name contains a NUL or is too long.
 pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::ServerInfo);
+    let mut writer = Writer::new(out);
     writer.padded_name::<SENDER_NAME_LEN>(info.application, "server name");
     writer.bytes(&info.application_version, "server application version");
     writer.bytes(&info.natnet_version, "server NatNet version");
@@ -105,7 +101,7 @@ pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Result<usize, Encod
         writer.u8(connection.data_channel.multicast.into(), "multicast flag");
         writer.bytes(&connection.data_channel.group.octets(), "multicast group");
     }
-    writer.finish()
+    writer.finish(MessageId::ServerInfo)
 }
 
 /// Encodes the answer to an echo request.
@@ -113,10 +109,10 @@ pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Result<usize, Encod
 /// # Errors
 /// The buffer is too small.
 pub fn echo_response(echo: Echo, out: &mut [u8]) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::EchoResponse);
+    let mut writer = Writer::new(out);
     writer.u64(echo.client_stamp, "echo client stamp");
     writer.u64(echo.server_ticks, "echo server ticks");
-    writer.finish()
+    writer.finish(MessageId::EchoResponse)
 }
 
 /// Encodes the answer to a text request as a status; 0 is success.
@@ -124,9 +120,9 @@ pub fn echo_response(echo: Echo, out: &mut [u8]) -> Result<usize, EncodeError> {
 /// # Errors
 /// The buffer is too small.
 pub fn response_status(status: i32, out: &mut [u8]) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::Response);
+    let mut writer = Writer::new(out);
     writer.i32(status, "response status");
-    writer.finish()
+    writer.finish(MessageId::Response)
 }
 
 /// Encodes the server's disconnect message.
@@ -134,7 +130,7 @@ pub fn response_status(status: i32, out: &mut [u8]) -> Result<usize, EncodeError
 /// # Errors
 /// The buffer is too small.
 pub fn disconnect(out: &mut [u8]) -> Result<usize, EncodeError> {
-    Writer::message(out, MessageId::Disconnect).finish()
+    Writer::new(out).finish(MessageId::Disconnect)
 }
 
 /// Encodes the answer to a request that the server does not understand.
@@ -142,7 +138,7 @@ pub fn disconnect(out: &mut [u8]) -> Result<usize, EncodeError> {
 /// # Errors
 /// The buffer is too small.
 pub fn unrecognized(out: &mut [u8]) -> Result<usize, EncodeError> {
-    Writer::message(out, MessageId::Unrecognized).finish()
+    Writer::new(out).finish(MessageId::Unrecognized)
 }
 
 /// One entry of the model definitions.
@@ -168,7 +164,7 @@ pub fn model_definitions(
     datasets: &[Dataset<'_>],
     out: &mut [u8],
 ) -> Result<usize, EncodeError> {
-    let mut writer = Writer::message(out, MessageId::ModelDefinitions);
+    let mut writer = Writer::new(out);
     writer.count(datasets.len(), "dataset count");
     for dataset in datasets {
         writer.i32(dataset.type_id(), "dataset type");
@@ -176,7 +172,7 @@ pub fn model_definitions(
             dataset.write(writer, version);
         });
     }
-    writer.finish()
+    writer.finish(MessageId::ModelDefinitions)
 }
 
 impl Dataset<'_> {
