@@ -28,12 +28,9 @@ fn link() -> Result<(), String> {
         .flag_if_supported("-std=gnu11")
         // simavr's own headers.
         .flag_if_supported("-Wno-unused-parameter");
-    let compiler = build
-        .try_get_compiler()
-        .map_err(|error| error.to_string())?;
-    build
-        .try_compile("shim")
-        .map_err(|error| error.to_string())?;
+    let why = |error: cc::Error| error.to_string();
+    let compiler = build.try_get_compiler().map_err(why)?;
+    build.try_compile("shim").map_err(why)?;
     // The compiler knows the library folder of this machine on Debian.
     let found = compiler
         .to_command()

@@ -33,32 +33,36 @@ impl SkewedClock {
 
     /// Reading of the clock at a simulation time, in µs.
     pub fn at(&self, simulation_us: u64) -> u64 {
-        let whole = simulation_us / MILLION * self.rate();
-        let part = simulation_us % MILLION * self.rate() / MILLION;
-        self.offset_us.wrapping_add(whole).wrapping_add(part)
+        let elapsed_us = counted(simulation_us, self.rate());
+        self.offset_us.wrapping_add(elapsed_us)
     }
 
     /// The first simulation time at which the clock has advanced by `elapsed_us` of
     /// its own microseconds since simulation time zero.
     pub fn when_elapsed(&self, elapsed_us: u64) -> u64 {
-        let rate = self.rate();
-        let whole = elapsed_us / rate * MILLION;
-        let part = (elapsed_us % rate * MILLION).div_ceil(rate);
-        whole + part
+        when(elapsed_us, self.rate())
     }
 
     /// Cycles of the clock's oscillator since simulation time zero.
     pub(crate) fn cycle_at(&self, simulation_us: u64) -> u64 {
-        let rate = self.rate() * CYCLES_PER_US;
-        simulation_us / MILLION * rate + simulation_us % MILLION * rate / MILLION
+        counted(simulation_us, self.rate() * CYCLES_PER_US)
     }
 
     /// The first simulation time, in µs, at which the oscillator has reached a
     /// cycle.
     pub(crate) fn when_cycle(&self, cycle: u64) -> u64 {
-        let rate = self.rate() * CYCLES_PER_US;
-        cycle / rate * MILLION + (cycle % rate * MILLION).div_ceil(rate)
+        when(cycle, self.rate() * CYCLES_PER_US)
     }
+}
+
+/// What is counted in a time, in µs, at a rate per second.
+fn counted(us: u64, rate: u64) -> u64 {
+    us / MILLION * rate + us % MILLION * rate / MILLION
+}
+
+/// The first time at which that much is counted, in µs.
+fn when(count: u64, rate: u64) -> u64 {
+    count / rate * MILLION + (count % rate * MILLION).div_ceil(rate)
 }
 
 /// Zero of all keys `..._at_s` and `..._from_s`; unknown until a drive has begun.

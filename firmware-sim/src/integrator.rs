@@ -207,11 +207,8 @@ pub fn stages<D: Bounded, E, const N: usize>(
                 *x += weight * *slope;
             }
         }
-        let at = if *node == 1.0 {
-            to
-        } else {
-            time + node * step.re()
-        };
+        let within = time + node * step.re();
+        let at = if *node == 1.0 { to } else { within };
         slopes[stage + 1] = derivative(at, &candidate)?;
     }
 

@@ -89,19 +89,14 @@ pub fn parse_duration_us(text: &str) -> Result<u64, LossPatternError> {
         .find_map(|(unit, scale)| Some((trimmed.strip_suffix(unit)?, scale)))
         .ok_or_else(error)?;
     let number = number.trim_end();
-    if !number
-        .bytes()
-        .all(|byte| byte.is_ascii_digit() || byte == b'.')
-    {
+    let is_written = |byte: u8| byte.is_ascii_digit() || byte == b'.';
+    if !number.bytes().all(is_written) {
         return Err(error());
     }
     let value = number.parse::<f64>().map_err(|_| error())? * microseconds;
     // A year exceeds any run, and is exact in f64.
-    if value <= 3.2e13 {
-        Ok((value + 0.5) as u64)
-    } else {
-        Err(error())
-    }
+    let is_exact = value <= 3.2e13;
+    is_exact.then_some((value + 0.5) as u64).ok_or_else(error)
 }
 
 /// Formats a duration in the largest unit without a fraction.
@@ -115,12 +110,8 @@ fn format_duration(microseconds: u64) -> String {
 
 impl fmt::Display for LossPattern {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            formatter,
-            "{}@{}",
-            format_duration(self.duration_us),
-            format_duration(self.interval_us)
-        )
+        let [duration, interval] = [self.duration_us, self.interval_us].map(format_duration);
+        write!(formatter, "{duration}@{interval}")
     }
 }
 

@@ -12,7 +12,7 @@ use singletrack_mocap::{
         BitstreamVersion, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
         RigidBodyDefinition, ServerInfo, bitstream_request,
     },
-    encode::{self, Dataset, EncodeError, FrameContent, LabelledMarker, MarkerSet},
+    encode::{self, Dataset, Encoded, FrameContent, LabelledMarker, MarkerSet},
 };
 
 use crate::cameras::{CameraFrame, CameraParameters, TICKS_PER_SECOND};
@@ -68,17 +68,12 @@ pub fn parse_bitstream(text: &str) -> Result<BitstreamVersion, String> {
     BitstreamVersion::new(major, minor).map_err(|error| error.to_string())
 }
 
-fn serialize_version<S: Serializer>(
-    version: &BitstreamVersion,
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(version)
+fn serialize_version<S: Serializer>(version: &BitstreamVersion, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_str(version)
 }
 
-fn deserialize_version<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<BitstreamVersion, D::Error> {
-    parse_bitstream(&String::deserialize(deserializer)?).map_err(D::Error::custom)
+fn deserialize_version<'de, D: Deserializer<'de>>(from: D) -> Result<BitstreamVersion, D::Error> {
+    parse_bitstream(&String::deserialize(from)?).map_err(D::Error::custom)
 }
 
 /// Destination of a datagram.
@@ -247,9 +242,8 @@ impl NatNetServer {
     }
 
     fn client_mut(&mut self, address: SocketAddr) -> Option<&mut Client> {
-        self.clients
-            .iter_mut()
-            .find(|client| client.address == address)
+        let mut clients = self.clients.iter_mut();
+        clients.find(|client| client.address == address)
     }
 
     fn subscribe(&mut self, now_us: u64, address: SocketAddr, bitstream: BitstreamVersion) {
@@ -284,11 +278,9 @@ impl NatNetServer {
     }
 
     fn models(&mut self, from: SocketAddr, cameras: &CameraParameters) -> Option<Datagram> {
-        let version = self
-            .client_mut(from)
-            .map(|client| client.bitstream)
-            .filter(|_| !self.parameters.multicast)
-            .unwrap_or(self.parameters.bitstream);
+        let p = self.parameters;
+        let client = self.client_mut(from).filter(|_| !p.multicast);
+        let version = client.map_or(p.bitstream, |client| client.bitstream);
         let mut datasets = vec![Dataset::MarkerSet {
             name: &cameras.car.name,
             marker_names: &MARKER_NAMES,
@@ -324,7 +316,7 @@ impl NatNetServer {
     fn answer(
         &mut self,
         to: SocketAddr,
-        encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
+        encode: impl FnOnce(&mut [u8]) -> Encoded,
     ) -> Option<Datagram> {
         Some(Datagram {
             to: Destination::Client(to),
@@ -334,10 +326,7 @@ impl NatNetServer {
         })
     }
 
-    fn encoded(
-        &mut self,
-        encode: impl FnOnce(&mut [u8]) -> Result<usize, EncodeError>,
-    ) -> Option<Vec<u8>> {
+    fn encoded(&mut self, encode: impl FnOnce(&mut [u8]) -> Encoded) -> Option<Vec<u8>> {
         let Ok(length) = encode(&mut self.buffer) else {
             self.counters.unencodable += 1;
             return None;
@@ -354,7 +343,7 @@ fn encode_frame(
     frame: &CameraFrame,
     models_changed: bool,
     out: &mut [u8],
-) -> Result<usize, EncodeError> {
+) -> Encoded {
     let tracked = frame.bodies.iter().filter(|body| body.tracking_valid());
     let markers: Vec<[f32; 3]> = tracked.map(|body| body.position_m).collect();
     let labelled = markers.iter().zip(1..);

@@ -119,12 +119,11 @@ impl NatNetSockets {
     }
 }
 
+/// A socket and its address.
+pub(crate) type Bound<S> = Result<(S, SocketAddrV4), UdpError>;
+
 /// A UDP socket that does not wait.
-pub(crate) fn bind(
-    interface: Ipv4Addr,
-    port: u16,
-    purpose: &'static str,
-) -> Result<(UdpSocket, SocketAddrV4), UdpError> {
+pub(crate) fn bind(interface: Ipv4Addr, port: u16, purpose: &'static str) -> Bound<UdpSocket> {
     let address = SocketAddrV4::new(interface, port);
     UdpError::or(address, purpose, || {
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;

@@ -7,7 +7,7 @@ use singletrack_mocap::qualisys::packet::{self, ByteOrder};
 use crate::{
     cameras::{CameraFrame, CameraParameters},
     qtm_server::QtmServer,
-    sockets::{Serving, UdpError, bind},
+    sockets::{Bound, Serving, UdpError, bind},
     vrpn_server::VrpnServer,
 };
 
@@ -126,11 +126,7 @@ fn answer_discovery(socket: &UdpSocket, little_endian_port: u16) {
 /// How long the server waits for a client that it calls back.
 const CALL_BACK: core::time::Duration = core::time::Duration::from_millis(5);
 
-fn listen(
-    interface: Ipv4Addr,
-    port: u16,
-    purpose: &'static str,
-) -> Result<(TcpListener, SocketAddrV4), UdpError> {
+fn listen(interface: Ipv4Addr, port: u16, purpose: &'static str) -> Bound<TcpListener> {
     let address = SocketAddrV4::new(interface, port);
     UdpError::or(address, purpose, || {
         let listener = TcpListener::bind(address)?;

@@ -398,24 +398,17 @@ impl SimulationConfig {
         let text = std::fs::read_to_string(path)
             .map_err(|source| SimulationFileError(format!("can't read {name}: {source}")))?;
         let wrong = |why: String| SimulationFileError(format!("{name}: {why}"));
-        let SimulationFile {
-            seed,
-            car,
-            board,
-            wire,
-            cameras,
-            natnet,
-            truth,
-        } = toml::from_str(&text).map_err(|error| wrong(explain(&text, &error)))?;
+        let read = toml::from_str(&text);
+        let file: SimulationFile = read.map_err(|error| wrong(explain(&text, &error)))?;
         let mut simulation = Self {
-            seed,
-            car,
-            board,
-            wire,
-            cameras,
-            natnet,
+            seed: file.seed,
+            car: file.car,
+            board: file.board,
+            wire: file.wire,
+            cameras: file.cameras,
+            natnet: file.natnet,
         };
-        let applied = truth.apply(&mut simulation);
+        let applied = file.truth.apply(&mut simulation);
         applied.map_err(|error| wrong(error.to_string()))?;
         Ok(simulation)
     }

@@ -152,12 +152,11 @@ impl World {
                 self.imu_last = Some(reading);
             }
             let arrival = now_us + self.config.car.imu.latency_us;
-            let sample = self
-                .imu_fault
-                .falsify(reading, self.imu_last, self.imu_samples);
+            let (fault, number) = (self.imu_fault, self.imu_samples);
+            let sample = fault.falsify(reading, self.imu_last, number);
             if self.imu_supply == ImuSupply::Good {
-                self.imu_pending
-                    .extend(sample.map(|reading| (arrival, reading)));
+                let pending = sample.map(|reading| (arrival, reading));
+                self.imu_pending.extend(pending);
             }
         }
         let is_here = |(arrival, _): &mut (u64, Motion)| *arrival <= now_us;
@@ -238,14 +237,9 @@ impl World {
     /// has not reached yet. The server's clock must not lag while the world catches
     /// up, or clients would map it wrongly.
     pub(crate) fn handle_datagram_at(&mut self, now_us: u64, from: SocketAddr, bytes: &[u8]) {
-        let answer = self.natnet.handle_datagram(
-            now_us,
-            self.cameras.ticks(now_us),
-            &self.cameras.parameters,
-            from,
-            bytes,
-        );
-        if let Some(datagram) = answer {
+        let (ticks, cameras) = (self.cameras.ticks(now_us), &self.cameras.parameters);
+        let natnet = &mut self.natnet;
+        if let Some(datagram) = natnet.handle_datagram(now_us, ticks, cameras, from, bytes) {
             push_bounded(&mut self.datagrams, datagram, QUEUE_CAPACITY);
         }
     }

@@ -47,9 +47,8 @@ pub struct Frame {
 impl Frame {
     /// The bytes to send.
     pub fn as_bytes(&self) -> &[u8] {
-        self.bytes
-            .get(..usize::from(self.length))
-            .unwrap_or_default()
+        let length = usize::from(self.length);
+        self.bytes.get(..length).unwrap_or_default()
     }
 
     /// An empty frame.
@@ -108,13 +107,8 @@ impl Frame {
         // next. The first byte counts as a zero.
         let end = crc_at + 2;
         let mut distance = 1;
-        for byte in self
-            .bytes
-            .get_mut(..end)
-            .unwrap_or_default()
-            .iter_mut()
-            .rev()
-        {
+        let stuffed = self.bytes.get_mut(..end).unwrap_or_default();
+        for byte in stuffed.iter_mut().rev() {
             if *byte == 0 {
                 *byte = distance;
                 distance = 0;

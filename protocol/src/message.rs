@@ -21,39 +21,6 @@ structure! {
     }
 }
 
-/// The byte that begins every packet.
-///
-/// The two directions share none but [`MessageType::Hello`], so that a line
-/// that echoes is not taken for a partner.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum MessageType {
-    /// [`Hello`], both ways; frozen for ever.
-    Hello = 0x01,
-    /// [`Configure`], to the board.
-    Configure = 0x10,
-    /// [`Arm`], to the board.
-    Arm = 0x11,
-    /// [`Disarm`], to the board.
-    Disarm = 0x12,
-    /// [`Drive`], to the board.
-    Drive = 0x13,
-    /// [`EmergencyStop`], to the board.
-    EmergencyStop = 0x14,
-    /// [`Jog`], to the board.
-    Jog = 0x15,
-    /// [`Telemetry`], to the host.
-    Telemetry = 0x20,
-    /// [`Status`], to the host.
-    Status = 0x21,
-    /// [`Acknowledgement`], to the host.
-    Acknowledgement = 0x22,
-    /// [`Refusal`], to the host.
-    Refusal = 0x23,
-    /// [`Identity`], to the host.
-    Identity = 0x24,
-}
-
 /// A message with its type byte and the one length its payload can have.
 pub trait Message: Field + Serialize + DeserializeOwned {
     /// The byte that begins its packets.
@@ -75,29 +42,54 @@ pub trait Message: Field + Serialize + DeserializeOwned {
     }
 }
 
+/// Declares the messages: each with its type byte, and the length of its payload in bytes.
 macro_rules! messages {
-    ($($message:ident: $length:literal,)*) => {$(
-        impl Message for $message {
-            const TYPE: MessageType = MessageType::$message;
-            const PAYLOAD_LENGTH: usize = $length;
+    ($($(#[$about:meta])* $message:ident = $number:literal: $length:literal,)*) => {
+        /// The byte that begins every packet.
+        ///
+        /// The two directions share none but [`MessageType::Hello`], so that a line
+        /// that echoes is not taken for a partner.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum MessageType {
+            $($(#[$about])* $message = $number,)*
         }
-        const _: () = assert!($length <= MAX_PAYLOAD_LENGTH);
-    )*};
+
+        $(
+            impl Message for $message {
+                const TYPE: MessageType = MessageType::$message;
+                const PAYLOAD_LENGTH: usize = $length;
+            }
+            const _: () = assert!($length <= MAX_PAYLOAD_LENGTH);
+        )*
+    };
 }
 
 messages! {
-    Hello: 9,
-    Configure: 50,
-    Arm: 9,
-    Disarm: 1,
-    Drive: 12,
-    EmergencyStop: 1,
-    Jog: 9,
-    Telemetry: 35,
-    Status: 35,
-    Acknowledgement: 6,
-    Refusal: 3,
-    Identity: 2,
+    /// [`Hello`], both ways; frozen for ever.
+    Hello = 0x01: 9,
+    /// [`Configure`], to the board.
+    Configure = 0x10: 50,
+    /// [`Arm`], to the board.
+    Arm = 0x11: 9,
+    /// [`Disarm`], to the board.
+    Disarm = 0x12: 1,
+    /// [`Drive`], to the board.
+    Drive = 0x13: 12,
+    /// [`EmergencyStop`], to the board.
+    EmergencyStop = 0x14: 1,
+    /// [`Jog`], to the board.
+    Jog = 0x15: 9,
+    /// [`Telemetry`], to the host.
+    Telemetry = 0x20: 35,
+    /// [`Status`], to the host.
+    Status = 0x21: 35,
+    /// [`Acknowledgement`], to the host.
+    Acknowledgement = 0x22: 6,
+    /// [`Refusal`], to the host.
+    Refusal = 0x23: 3,
+    /// [`Identity`], to the host.
+    Identity = 0x24: 2,
 }
 
 /// Why a good packet is not a message that this version understands.

@@ -183,11 +183,9 @@ impl Devices {
         for (index, (channel, bit)) in [(0, 1), (1, 2)].into_iter().enumerate() {
             let port = self.ports[0];
             // The resistor at the ESC pulls a floating pin low.
-            let high = port.direction & 1 << bit != 0
-                && self
-                    .timer1
-                    .output(channel)
-                    .unwrap_or(port.output & 1 << bit != 0);
+            let driven = self.timer1.output(channel);
+            let high =
+                port.direction & 1 << bit != 0 && driven.unwrap_or(port.output & 1 << bit != 0);
             match (high, self.high_since[index]) {
                 (true, None) => self.high_since[index] = Some(now),
                 (false, Some(start)) => {

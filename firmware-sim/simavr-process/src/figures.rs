@@ -91,9 +91,8 @@ impl Meter {
         }
         if span.interrupts_enabled || !self.serving.is_empty() {
             if let Some(since) = self.disabled_since.take() {
-                self.longest_critical_section = self
-                    .longest_critical_section
-                    .max(span.to - response - since);
+                let longest = &mut self.longest_critical_section;
+                *longest = (*longest).max(span.to - response - since);
             }
         } else if span.to >= self.started + SETTLING {
             self.disabled_since.get_or_insert(span.to);

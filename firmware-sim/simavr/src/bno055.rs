@@ -300,12 +300,9 @@ impl Bno055 {
         scaled(self.motion.linear_acceleration_mm_s2, lsb_per_mm_s2)
     }
 
-    const fn attitude(&self) -> [i16; 4] {
-        if self.fuses() {
-            self.motion.attitude_q14
-        } else {
-            [0; 4]
-        }
+    fn attitude(&self) -> [i16; 4] {
+        let attitude = self.fuses().then_some(self.motion.attitude_q14);
+        attitude.unwrap_or_default()
     }
 }
 

@@ -5,8 +5,8 @@ use std::process::ExitCode;
 
 use singletrack_protocol::BoardMode;
 use singletrack_sim::{
-    BoardKind, BoardParameters, BusFault, Cost, Figures, ImageSize, Installation, ScriptedDrive,
-    SimulationConfig, WireFaults,
+    BoardKind, BusFault, Cost, Figures, ImageSize, Installation, ScriptedDrive, SimulationConfig,
+    WireFaults,
 };
 
 fn main() -> ExitCode {
@@ -22,13 +22,9 @@ fn main() -> ExitCode {
 fn run() -> Result<(), Box<dyn std::error::Error>> {
     let installation = Installation::find()?;
     let size = ImageSize::read(&installation.image)?;
-    let mut drive = ScriptedDrive::new(SimulationConfig {
-        board: BoardParameters {
-            kind: BoardKind::Uno,
-            ..BoardParameters::default()
-        },
-        ..SimulationConfig::default()
-    })?;
+    let mut config = SimulationConfig::default();
+    config.board.kind = BoardKind::Uno;
+    let mut drive = ScriptedDrive::new(config)?;
     drive.run_ms(2_000);
     // An image for one car refuses the configuration of another.
     let car_id = drive.host.car_id.ok_or("the board named no car")?;
@@ -53,10 +49,8 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     println!("static {} B", size.static_bytes);
     println!("stack {} B", after.stack_bytes);
     println!("cpu {:.2} %", busy_percent(&before, &driving));
-    println!(
-        "pulse-jitter {:.4} us",
-        drive.world.board.pulse_jitter_us().unwrap_or(0.0)
-    );
+    let jitter_us = drive.world.board.pulse_jitter_us().unwrap_or(0.0);
+    println!("pulse-jitter {jitter_us:.4} us");
     println!("critical-section {} cycles", after.longest_critical_section);
     for interrupt in &after.interrupts {
         let name = interrupt_name(interrupt.number);
@@ -94,10 +88,7 @@ fn misuse(drive: &mut ScriptedDrive) {
         drive.world.board.set_imu_bus(fault);
         drive.drive(50, 400, 0, |_| {});
     }
-    drive.world.wire.faults = WireFaults {
-        corrupt: 0.02,
-        ..WireFaults::default()
-    };
+    drive.world.wire.faults.corrupt = 0.02;
     drive.drive(200, 400, 0, |_| {});
     drive.world.wire.faults = WireFaults::default();
     drive.world.host_write(&[0x55; 600]);

@@ -147,7 +147,7 @@ impl Image {
         self.ask(&Request::Hold);
         // This run takes no time; it only fetches the report.
         if let Some(Reply::Ran(report)) = self.ask(&Request::Run(Run::default())) {
-            self.take_pulses(&report, Some(report.cycle), car, log);
+            self.apply(&report, Some(report.cycle), car, log);
         }
         if let Some(frame) = self.frames.cut_off() {
             self.log(&frame, log);
@@ -205,9 +205,8 @@ impl Image {
         wire.board_read_timed(now_us, |arrival_us, byte| {
             received.push((clock.cycle_at(arrival_us), byte));
             let board_time_us = local_time(&clock, started_us, arrival_us);
-            environment
-                .monitor
-                .host_byte(byte, arrival_us, board_time_us);
+            let monitor = &mut *environment.monitor;
+            monitor.host_byte(byte, arrival_us, board_time_us);
         });
         let run = Run {
             until: clock.cycle_at(now_us),
@@ -250,7 +249,7 @@ impl Image {
             let sent_us = self.clock.when_cycle(cycle);
             environment.wire.board_sent(sent_us, byte);
         }
-        self.take_pulses(report, report.watchdog_reset, car, pulses);
+        self.apply(report, report.watchdog_reset, car, pulses);
         // Its changes reach the car at the end of the step.
         if let Some(&(_, held)) = report.kill_output.last() {
             car.set_kill_output(held);
@@ -262,13 +261,7 @@ impl Image {
     }
 
     /// A pulse that ends in the cycle of a reset was cut by it.
-    fn take_pulses(
-        &mut self,
-        report: &Report,
-        reset: Option<u64>,
-        car: &mut Car,
-        log: &mut PulseLog,
-    ) {
+    fn apply(&mut self, report: &Report, reset: Option<u64>, car: &mut Car, log: &mut PulseLog) {
         for pulse in &report.pulses {
             match pulse.pin {
                 Pin::Servo => car.apply_pulses(width_us(pulse), 0),

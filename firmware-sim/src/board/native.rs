@@ -203,10 +203,9 @@ impl Native {
 
     /// Whether the outputs of the main loop are in force.
     fn is_valid(&self, board_time_us: u32) -> bool {
-        let outputs = self.board.outputs();
-        let expired = outputs
-            .drive_deadline_us
-            .is_some_and(|deadline| board_time_us.wrapping_sub(deadline) as i32 > 0);
+        let deadline_us = self.board.outputs().drive_deadline_us;
+        let is_over = |deadline_us| board_time_us.wrapping_sub(deadline_us) as i32 > 0;
+        let expired = deadline_us.is_some_and(is_over);
         let stalled = board_time_us.wrapping_sub(self.last_poll_us) > HANG_TIMEOUT_US;
         !expired && !stalled
     }

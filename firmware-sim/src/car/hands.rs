@@ -107,9 +107,8 @@ pub(crate) struct HandledMotion {
     pub(crate) velocity: [f64; 2],
     /// Its acceleration: forward, left, in m/s².
     pub(crate) acceleration: [f64; 2],
-    pub(crate) yaw_rate: f64,
-    pub(crate) roll_rate: f64,
-    pub(crate) pitch_rate: f64,
+    /// Rates of yaw, roll and pitch, in rad/s.
+    pub(crate) rates: [f64; 3],
 }
 
 /// The hands on a car.
@@ -303,9 +302,7 @@ impl UnderWay {
             place,
             velocity: along([rate(0), rate(1)]),
             acceleration: along([acceleration(0), acceleration(1)]),
-            yaw_rate: rate(2),
-            roll_rate: rate(3),
-            pitch_rate: rate(4),
+            rates: [rate(2), rate(3), rate(4)],
         }
     }
 }

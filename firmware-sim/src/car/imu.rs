@@ -264,10 +264,8 @@ impl Imu {
                     }
                 }
             };
-            vibrate(
-                p.vibration_rad_s + p.vibration_rad_s_per_m_s * speed,
-                &mut rate,
-            );
+            let deviation = p.vibration_rad_s + p.vibration_rad_s_per_m_s * speed;
+            vibrate(deviation, &mut rate);
             let deviation = p.vibration_m_s2 + p.vibration_m_s2_per_m_s * speed;
             vibrate(deviation, &mut acceleration);
         }

@@ -137,11 +137,8 @@ impl MotorSensor {
         start_us: u64,
         end_us: u64,
     ) {
-        let rate = if driven {
-            p.emi_driven_hz
-        } else {
-            p.emi_standstill_hz
-        };
+        let (driven_hz, standing_hz) = (p.emi_driven_hz, p.emi_standstill_hz);
+        let rate = if driven { driven_hz } else { standing_hz };
         let span_us = (end_us - start_us) as f64;
         let pulses = &mut self.pulses;
         self.interference.edges(rate * span_us * 1e-6, |share| {

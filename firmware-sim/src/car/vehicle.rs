@@ -381,11 +381,12 @@ impl Car {
         };
         let [forward, left] = motion.velocity;
         let [x, y] = motion.place.position;
+        let [yaw_rate, roll_rate, pitch_rate] = motion.rates;
         Truth {
             x,
             y,
             yaw: motion.place.yaw,
-            yaw_rate: motion.yaw_rate,
+            yaw_rate,
             sideslip: 0.0,
             speed: libm::hypot(forward, left),
             longitudinal_acceleration: motion.acceleration[0],
@@ -393,8 +394,8 @@ impl Car {
             roll: motion.place.roll,
             pitch: motion.place.pitch,
             height: motion.place.height,
-            roll_rate: motion.roll_rate,
-            pitch_rate: motion.pitch_rate,
+            roll_rate,
+            pitch_rate,
             ..free
         }
     }

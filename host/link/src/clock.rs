@@ -123,9 +123,8 @@ impl BoardClock {
             return self.begin(receive_time_ns, board_time_us);
         };
         let since_last_us = board_time_us.wrapping_sub(origin.newest_raw_us);
-        let elapsed_us = origin
-            .newest_elapsed_us
-            .saturating_add(u64::from(since_last_us));
+        let (before_us, since_us) = (origin.newest_elapsed_us, since_last_us.into());
+        let elapsed_us = before_us.saturating_add(since_us);
         let board_ns = nanoseconds(elapsed_us);
         let host_ns = signed_difference(receive_time_ns, origin.host_ns);
         let excess_ns = host_ns.saturating_sub(board_ns);
@@ -167,9 +166,8 @@ impl BoardClock {
     /// current estimate; `None` before the first stamp.
     pub fn host_time_ns(&self, board_time_us: u32) -> Option<u64> {
         let origin = self.origin?;
-        let distance_us = board_time_us
-            .wrapping_sub(origin.newest_raw_us)
-            .cast_signed();
+        let ahead_us = board_time_us.wrapping_sub(origin.newest_raw_us);
+        let distance_us = ahead_us.cast_signed();
         let board_ns = nanoseconds(origin.newest_elapsed_us)
             .saturating_add(i64::from(distance_us).saturating_mul(1_000));
         Some(host_time(origin.host_ns, board_ns, &self.line))
@@ -245,17 +243,10 @@ impl BoardClock {
         let skew = self.line.skew;
         let above_newest =
             |point: &Point| point.excess_ns as f64 - skew * (point.board_ns - newest_ns) as f64;
-        let offset_ns = self
-            .points
-            .iter()
-            .map(above_newest)
-            .fold(f64::INFINITY, f64::min);
-        let mean_height_ns = self
-            .points
-            .iter()
-            .map(|point| above_newest(point) - offset_ns)
-            .sum::<f64>()
-            / self.points.len() as f64;
+        let above_ns = self.points.iter().map(above_newest);
+        let offset_ns = above_ns.clone().fold(f64::INFINITY, f64::min);
+        let heights_ns: f64 = above_ns.map(|above_ns| above_ns - offset_ns).sum();
+        let mean_height_ns = heights_ns / self.points.len() as f64;
         let age_ns = (newest_ns - first.board_ns) as f64;
         // The measured skew is the edge's, about the middle of the window.
         let skew_error_ns = match edge_ns {

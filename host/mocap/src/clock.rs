@@ -285,11 +285,8 @@ impl MinDelay {
             difference(receive_ns, origin_ns) - difference(ticks, origin_ticks) * self.ns_per_tick;
         let age_ns = receive_ns.saturating_sub(windows.began_ns);
         if age_ns >= WINDOW_NS {
-            windows.previous_ns = if age_ns < 2 * WINDOW_NS {
-                windows.current_ns
-            } else {
-                f64::INFINITY
-            };
+            let (is_recent, last_ns) = (age_ns < 2 * WINDOW_NS, windows.current_ns);
+            windows.previous_ns = if is_recent { last_ns } else { f64::INFINITY };
             windows.current_ns = delay_ns;
             windows.began_ns = receive_ns;
         } else {

@@ -201,10 +201,8 @@ impl SessionConfig {
 
 /// Refuses the first value that is not a positive number.
 pub(crate) fn positive(values: &[(&'static str, f64)]) -> Result<(), SessionConfigError> {
-    match values
-        .iter()
-        .find(|(_, value)| !(value.is_finite() && *value > 0.0))
-    {
+    let is_wrong = |(_, value): &&(_, f64)| !(value.is_finite() && *value > 0.0);
+    match values.iter().find(is_wrong) {
         Some(&(key, value)) => Err(SessionConfigError::NotPositive { key, value }),
         None => Ok(()),
     }

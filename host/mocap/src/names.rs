@@ -232,10 +232,8 @@ impl Senders {
 
     /// The body of each sender with the configured sensor, and the sender's name.
     pub fn iter(&self) -> impl Iterator<Item = (i32, &[u8])> {
-        self.names
-            .iter()
-            .filter(|(_, name)| name != CONTROL)
-            .map(|(number, name)| (body_id(*number, self.sensor), name.as_slice()))
+        let named = self.names.iter().filter(|(_, name)| name != CONTROL);
+        named.map(|(number, name)| (body_id(*number, self.sensor), name.as_slice()))
     }
 }
 

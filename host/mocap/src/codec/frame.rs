@@ -2,7 +2,7 @@
 
 use super::{
     BitstreamVersion,
-    packet::{DecodeError, Packet, Reader},
+    packet::{DecodeError, Decoded, Packet, Reader},
 };
 
 const MARKER_LEN: usize = 12;
@@ -91,10 +91,7 @@ pub struct SectionCounts {
 
 impl<'a> Frame<'a> {
     /// Decodes a packet that the caller has identified as a frame.
-    pub(super) fn decode(
-        packet: &Packet<'a>,
-        version: BitstreamVersion,
-    ) -> Result<Self, DecodeError> {
+    pub(super) fn decode(packet: &Packet<'a>, version: BitstreamVersion) -> Decoded<Self> {
         let mut reader = packet.reader();
         let number = reader.i32("frame number")?;
         let mut sections = SectionCounts::default();
@@ -195,7 +192,7 @@ fn labelled_marker_len(version: BitstreamVersion) -> usize {
 }
 
 /// Force plates and devices: an id, then channels of samples.
-fn skip_analog_channels(reader: &mut Reader<'_>) -> Result<(), DecodeError> {
+fn skip_analog_channels(reader: &mut Reader<'_>) -> Decoded<()> {
     reader.i32("analog device id")?;
     let channels = reader.count(4, "channel count")?;
     for _ in 0..channels {
@@ -213,8 +210,8 @@ impl<'a> Reader<'a> {
         version: BitstreamVersion,
         field: &'static str,
         min_entry_len: usize,
-        mut entry: impl FnMut(&mut Reader<'a>) -> Result<(), DecodeError>,
-    ) -> Result<(usize, Reader<'a>), DecodeError> {
+        mut entry: impl FnMut(&mut Reader<'a>) -> Decoded<()>,
+    ) -> Decoded<(usize, Reader<'a>)> {
         let offset = self.offset();
         let count = self.length(field)?;
         let sized = version >= BitstreamVersion::V4_1;
@@ -291,10 +288,7 @@ impl RigidBody {
         self.params & TRACKING_VALID != 0
     }
 
-    pub(super) fn read(
-        reader: &mut Reader<'_>,
-        version: BitstreamVersion,
-    ) -> Result<Self, DecodeError> {
+    fn read(reader: &mut Reader<'_>, version: BitstreamVersion) -> Decoded<Self> {
         let id = reader.i32("rigid body id")?;
         let position_m = reader.f32s("rigid body position")?;
         let orientation_xyzw = reader.f32s("rigid body orientation")?;
@@ -312,11 +306,7 @@ impl RigidBody {
     }
 
     /// Reads past `count` bodies, checking their bounds.
-    pub(super) fn skip(
-        reader: &mut Reader<'_>,
-        count: usize,
-        version: BitstreamVersion,
-    ) -> Result<(), DecodeError> {
+    fn skip(reader: &mut Reader<'_>, count: usize, version: BitstreamVersion) -> Decoded<()> {
         if version >= BitstreamVersion::V3_0 {
             return reader.skip(count, Self::LEN, "rigid bodies");
         }

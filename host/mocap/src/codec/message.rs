@@ -6,7 +6,7 @@ use super::{
     BitstreamVersion, UnsupportedVersion,
     frame::Frame,
     model::ModelDefinitions,
-    packet::{DecodeError, MessageId, Packet, Reader},
+    packet::{DecodeError, Decoded, MessageId, Packet, Reader},
 };
 
 /// A message from a server. Every byte of it has been checked.
@@ -117,7 +117,7 @@ impl<'a> ServerMessage<'a> {
 }
 
 impl<'a> Response<'a> {
-    fn read(reader: &mut Reader<'a>) -> Result<Self, DecodeError> {
+    fn read(reader: &mut Reader<'a>) -> Decoded<Self> {
         // Four bytes are a status, even if they could also be a text.
         if reader.remaining() == 4 {
             reader.i32("response status").map(Self::Status)
@@ -128,7 +128,7 @@ impl<'a> Response<'a> {
 }
 
 /// A text that fills the rest of the payload, NUL included.
-fn read_text<'a>(reader: &mut Reader<'a>) -> Result<&'a str, DecodeError> {
+fn read_text<'a>(reader: &mut Reader<'a>) -> Decoded<&'a str> {
     let text = reader.c_str("text")?;
     reader.finish("the text")?;
     Ok(text)
@@ -177,7 +177,7 @@ pub struct DataChannel {
 }
 
 impl<'a> ServerInfo<'a> {
-    pub(super) fn decode(packet: &Packet<'a>) -> Result<Self, DecodeError> {
+    pub(super) fn decode(packet: &Packet<'a>) -> Decoded<Self> {
         let actual = packet.payload().len();
         if actual != SENDER_LEN && actual != EXTENDED_LEN {
             return Err(DecodeError::UnexpectedLength {
@@ -224,13 +224,8 @@ impl<'a> ServerInfo<'a> {
 /// A name that is not UTF-8 is cut before the first invalid byte.
 fn name_prefix(field: &[u8]) -> &str {
     let name = field.split(|byte| *byte == 0).next().unwrap_or_default();
-    match core::str::from_utf8(name) {
-        Ok(name) => name,
-        Err(error) => name
-            .get(..error.valid_up_to())
-            .and_then(|valid| core::str::from_utf8(valid).ok())
-            .unwrap_or_default(),
-    }
+    let first = name.utf8_chunks().next();
+    first.map_or("", |chunk| chunk.valid())
 }
 
 /// The longest known CONNECT: the sender block, a flag, a version, and up to two
@@ -300,7 +295,7 @@ impl<'a> ClientMessage<'a> {
 impl<'a> Connect<'a> {
     /// Payloads of clients differ, down to an empty one: missing fields are allowed,
     /// and only a payload that is too long is an error.
-    fn decode(packet: &Packet<'a>) -> Result<Self, DecodeError> {
+    fn decode(packet: &Packet<'a>) -> Decoded<Self> {
         let payload = packet.payload();
         if payload.len() > MAX_CONNECT_LEN {
             return Err(DecodeError::UnexpectedLength {
@@ -309,11 +304,9 @@ impl<'a> Connect<'a> {
             });
         }
         let name = payload.get(..SENDER_NAME_LEN).unwrap_or(payload);
-        let requested_bitstream = payload
-            .get(SENDER_LEN + 1..)
-            .and_then(|rest| rest.first_chunk::<4>())
-            .filter(|version| **version != [0; 4])
-            .copied();
+        let rest = payload.get(SENDER_LEN + 1..).unwrap_or_default();
+        let version = rest.first_chunk::<4>().copied();
+        let requested_bitstream = version.filter(|version| *version != [0; 4]);
         Ok(Self {
             name: name_prefix(name),
             requested_bitstream,
@@ -331,10 +324,8 @@ pub fn bitstream_request(text: &str) -> Option<Result<BitstreamVersion, Unsuppor
     if !command.eq_ignore_ascii_case("bitstream") {
         return None;
     }
-    let mut numbers = version
-        .trim()
-        .split('.')
-        .map(|number| number.parse::<u8>().unwrap_or_default());
+    let number = |text: &str| text.parse::<u8>().unwrap_or_default();
+    let mut numbers = version.trim().split('.').map(number);
     let major = numbers.next().unwrap_or_default();
     let minor = numbers.next().unwrap_or_default();
     Some(BitstreamVersion::new(major, minor))

@@ -2,7 +2,7 @@
 
 use super::{
     BitstreamVersion,
-    packet::{DecodeError, Packet, Reader},
+    packet::{DecodeError, Decoded, Packet, Reader},
 };
 
 /// Dataset types of a model definition.
@@ -50,16 +50,10 @@ pub struct RigidBodyDefinitions<'a> {
 }
 
 impl<'a> ModelDefinitions<'a> {
-    pub(super) fn decode(
-        packet: &Packet<'a>,
-        version: BitstreamVersion,
-    ) -> Result<Self, DecodeError> {
+    pub(super) fn decode(packet: &Packet<'a>, version: BitstreamVersion) -> Decoded<Self> {
         let mut reader = packet.reader();
-        let header_len = if version >= BitstreamVersion::V4_1 {
-            8
-        } else {
-            4
-        };
+        let is_sized = version >= BitstreamVersion::V4_1;
+        let header_len = if is_sized { 8 } else { 4 };
         let dataset_count = reader.count(header_len, "dataset count")?;
         let rigid_bodies = RigidBodyDefinitions {
             reader,
@@ -87,7 +81,7 @@ impl<'a> ModelDefinitions<'a> {
 
 impl<'a> RigidBodyDefinitions<'a> {
     /// Reads one dataset; `Some` when it is a rigid body that can be read.
-    fn read_dataset(&mut self) -> Result<Option<RigidBodyDefinition<'a>>, DecodeError> {
+    fn read_dataset(&mut self) -> Decoded<Option<RigidBodyDefinition<'a>>> {
         self.datasets_left = self.datasets_left.saturating_sub(1);
         let version = self.version;
         let offset = self.reader.offset();
@@ -170,7 +164,7 @@ impl<'a> Iterator for RigidBodyDefinitions<'a> {
 fn read_rigid_body<'a>(
     reader: &mut Reader<'a>,
     version: BitstreamVersion,
-) -> Result<RigidBodyDefinition<'a>, DecodeError> {
+) -> Decoded<RigidBodyDefinition<'a>> {
     let definition = RigidBodyDefinition {
         name: reader.c_bytes("rigid body name")?,
         id: reader.i32("rigid body id")?,
@@ -193,7 +187,7 @@ fn read_rigid_body<'a>(
     Ok(definition)
 }
 
-fn skip_names(reader: &mut Reader<'_>, field: &'static str) -> Result<(), DecodeError> {
+fn skip_names(reader: &mut Reader<'_>, field: &'static str) -> Decoded<()> {
     let names = reader.count(1, field)?;
     (0..names).try_for_each(|_| reader.c_bytes("name").map(drop))
 }

@@ -86,7 +86,7 @@ impl<'a> Packet<'a> {
     }
 
     /// Splits a datagram that may have these bytes beyond the declared length.
-    pub(super) fn parse_before(datagram: &'a [u8], surplus: &[u8]) -> Result<Self, DecodeError> {
+    pub(super) fn parse_before(datagram: &'a [u8], surplus: &[u8]) -> Decoded<Self> {
         let mut reader = Reader::new(datagram, 0);
         let id = reader.u16("message id")?;
         let declared = usize::from(reader.u16("payload length")?);
@@ -141,11 +141,7 @@ impl<'a> Reader<'a> {
         self.rest.len()
     }
 
-    pub(crate) fn take(
-        &mut self,
-        len: usize,
-        field: &'static str,
-    ) -> Result<&'a [u8], DecodeError> {
+    pub(crate) fn take(&mut self, len: usize, field: &'static str) -> Decoded<&'a [u8]> {
         let Some((taken, rest)) = self.rest.split_at_checked(len) else {
             return Err(self.truncated(len, field));
         };
@@ -154,7 +150,7 @@ impl<'a> Reader<'a> {
         Ok(taken)
     }
 
-    fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], DecodeError> {
+    fn array<const N: usize>(&mut self, field: &'static str) -> Decoded<[u8; N]> {
         let Some((taken, rest)) = self.rest.split_first_chunk::<N>() else {
             return Err(self.truncated(N, field));
         };
@@ -172,43 +168,40 @@ impl<'a> Reader<'a> {
         }
     }
 
-    pub(crate) fn bytes4(&mut self, field: &'static str) -> Result<[u8; 4], DecodeError> {
+    pub(crate) fn bytes4(&mut self, field: &'static str) -> Decoded<[u8; 4]> {
         self.array(field)
     }
 
-    pub(crate) fn u8(&mut self, field: &'static str) -> Result<u8, DecodeError> {
+    pub(crate) fn u8(&mut self, field: &'static str) -> Decoded<u8> {
         let [byte] = self.array(field)?;
         Ok(byte)
     }
 
-    pub(crate) fn u16(&mut self, field: &'static str) -> Result<u16, DecodeError> {
+    pub(crate) fn u16(&mut self, field: &'static str) -> Decoded<u16> {
         self.array(field).map(u16::from_le_bytes)
     }
 
-    pub(crate) fn u32(&mut self, field: &'static str) -> Result<u32, DecodeError> {
+    pub(crate) fn u32(&mut self, field: &'static str) -> Decoded<u32> {
         self.array(field).map(u32::from_le_bytes)
     }
 
-    pub(crate) fn i32(&mut self, field: &'static str) -> Result<i32, DecodeError> {
+    pub(crate) fn i32(&mut self, field: &'static str) -> Decoded<i32> {
         self.array(field).map(i32::from_le_bytes)
     }
 
-    pub(crate) fn u64(&mut self, field: &'static str) -> Result<u64, DecodeError> {
+    pub(crate) fn u64(&mut self, field: &'static str) -> Decoded<u64> {
         self.array(field).map(u64::from_le_bytes)
     }
 
-    pub(crate) fn f32(&mut self, field: &'static str) -> Result<f32, DecodeError> {
+    pub(crate) fn f32(&mut self, field: &'static str) -> Decoded<f32> {
         self.array(field).map(f32::from_le_bytes)
     }
 
-    pub(crate) fn f64(&mut self, field: &'static str) -> Result<f64, DecodeError> {
+    pub(crate) fn f64(&mut self, field: &'static str) -> Decoded<f64> {
         self.array(field).map(f64::from_le_bytes)
     }
 
-    pub(crate) fn f32s<const N: usize>(
-        &mut self,
-        field: &'static str,
-    ) -> Result<[f32; N], DecodeError> {
+    pub(crate) fn f32s<const N: usize>(&mut self, field: &'static str) -> Decoded<[f32; N]> {
         let mut values = [0.0; N];
         for value in &mut values {
             *value = self.f32(field)?;
@@ -217,7 +210,7 @@ impl<'a> Reader<'a> {
     }
 
     /// The bytes of a NUL-terminated string, without the NUL.
-    pub(crate) fn c_bytes(&mut self, field: &'static str) -> Result<&'a [u8], DecodeError> {
+    pub(crate) fn c_bytes(&mut self, field: &'static str) -> Decoded<&'a [u8]> {
         let offset = self.offset;
         let Some(len) = self.rest.iter().position(|byte| *byte == 0) else {
             return Err(DecodeError::UnterminatedString { field, offset });
@@ -227,7 +220,7 @@ impl<'a> Reader<'a> {
         Ok(bytes)
     }
 
-    pub(crate) fn c_str(&mut self, field: &'static str) -> Result<&'a str, DecodeError> {
+    pub(crate) fn c_str(&mut self, field: &'static str) -> Decoded<&'a str> {
         let offset = self.offset;
         core::str::from_utf8(self.c_bytes(field)?)
             .map_err(|_| DecodeError::InvalidUtf8 { field, offset })
@@ -235,11 +228,7 @@ impl<'a> Reader<'a> {
 
     /// A count of entries of at least `min_entry_len` bytes each. A count that the
     /// remaining bytes can't hold is an error here, before any loop over it.
-    pub(crate) fn count(
-        &mut self,
-        min_entry_len: usize,
-        field: &'static str,
-    ) -> Result<usize, DecodeError> {
+    pub(crate) fn count(&mut self, min_entry_len: usize, field: &'static str) -> Decoded<usize> {
         let offset = self.offset;
         let count = self.length(field)?;
         self.check_count(count, min_entry_len, field, offset)?;
@@ -254,7 +243,7 @@ impl<'a> Reader<'a> {
         min_entry_len: usize,
         field: &'static str,
         offset: usize,
-    ) -> Result<(), DecodeError> {
+    ) -> Decoded<()> {
         let needed = count.checked_mul(min_entry_len);
         if needed.is_none_or(|needed| needed > self.rest.len()) {
             return Err(DecodeError::ImplausibleCount {
@@ -267,7 +256,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    pub(crate) fn length(&mut self, field: &'static str) -> Result<usize, DecodeError> {
+    pub(crate) fn length(&mut self, field: &'static str) -> Decoded<usize> {
         let offset = self.offset;
         let value = self.i32(field)?;
         usize::try_from(value).map_err(|_| DecodeError::NegativeCount {
@@ -277,25 +266,20 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Skips `count` entries of `entry_len` bytes.
-    pub(crate) fn skip(
-        &mut self,
-        count: usize,
-        entry_len: usize,
-        field: &'static str,
-    ) -> Result<(), DecodeError> {
-        self.take(count.saturating_mul(entry_len), field).map(drop)
+    /// Skips `count` entries of `len` bytes.
+    pub(crate) fn skip(&mut self, count: usize, len: usize, field: &'static str) -> Decoded<()> {
+        self.take(count.saturating_mul(len), field).map(drop)
     }
 
     /// The bytes whose number is in a leading `i32`.
-    pub(crate) fn sized(&mut self, field: &'static str) -> Result<Self, DecodeError> {
+    pub(crate) fn sized(&mut self, field: &'static str) -> Decoded<Self> {
         let len = self.length(field)?;
         let offset = self.offset;
         Ok(Self::new(self.take(len, field)?, offset))
     }
 
     /// An error when bytes are left.
-    pub(crate) const fn finish(&self, field: &'static str) -> Result<(), DecodeError> {
+    pub(crate) const fn finish(&self, field: &'static str) -> Decoded<()> {
         if self.rest.is_empty() {
             Ok(())
         } else {
@@ -307,6 +291,9 @@ impl<'a> Reader<'a> {
         }
     }
 }
+
+/// What is decoded, or why it can't be.
+pub(crate) type Decoded<T> = Result<T, DecodeError>;
 
 /// Why a datagram can't be decoded. Offsets count from the datagram's first byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

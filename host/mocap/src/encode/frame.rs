@@ -1,6 +1,6 @@
 //! Encodes FRAMEOFDATA, with a bounded little-endian cursor that can fill in sizes afterwards.
 
-use super::EncodeError;
+use super::{EncodeError, Encoded};
 use crate::codec::{
     BitstreamVersion, CameraTicks, FrameFlags, HEADER_LEN, MAX_DATAGRAM_LEN, MessageId, RigidBody,
 };
@@ -55,11 +55,7 @@ pub struct LabelledMarker {
 ///
 /// # Errors
 /// The buffer is too small, or a name contains a NUL.
-pub fn frame(
-    version: BitstreamVersion,
-    content: &FrameContent<'_>,
-    out: &mut [u8],
-) -> Result<usize, EncodeError> {
+pub fn frame(version: BitstreamVersion, content: &FrameContent<'_>, out: &mut [u8]) -> Encoded {
     let mut writer = Writer::new(out);
     writer.i32(content.number, "frame number");
     writer.section(
@@ -140,7 +136,7 @@ impl<'a> Writer<'a> {
     }
 
     /// Fills in the header and returns the datagram's length.
-    pub(super) fn finish(self, id: MessageId) -> Result<usize, EncodeError> {
+    pub(super) fn finish(self, id: MessageId) -> Encoded {
         if let Some(error) = self.error {
             return Err(error);
         }

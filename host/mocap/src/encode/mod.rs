@@ -14,6 +14,9 @@ use crate::codec::{
 
 pub use frame::{FrameContent, LabelledMarker, MarkerSet, frame};
 
+/// The length of the datagram, or why there is none.
+pub type Encoded = Result<usize, EncodeError>;
+
 /// Why a message can't be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -56,7 +59,7 @@ pub enum EncodeError {
 ///
 /// # Errors
 /// The buffer is too small, or a text contains a NUL or is too long.
-pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Result<usize, EncodeError> {
+pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Encoded {
     let mut writer = Writer::new(out);
     let id = match message {
         ClientMessage::Connect(connect) => {
@@ -89,7 +92,7 @@ pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Result<usi
 ///
 /// # Errors
 /// The buffer is too small, or the name contains a NUL or is too long.
-pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Result<usize, EncodeError> {
+pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Encoded {
     let mut writer = Writer::new(out);
     writer.padded_name::<SENDER_NAME_LEN>(info.application, "server name");
     writer.bytes(&info.application_version, "server application version");
@@ -108,7 +111,7 @@ pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Result<usize, Encod
 ///
 /// # Errors
 /// The buffer is too small.
-pub fn echo_response(echo: Echo, out: &mut [u8]) -> Result<usize, EncodeError> {
+pub fn echo_response(echo: Echo, out: &mut [u8]) -> Encoded {
     let mut writer = Writer::new(out);
     writer.u64(echo.client_stamp, "echo client stamp");
     writer.u64(echo.server_ticks, "echo server ticks");
@@ -119,7 +122,7 @@ pub fn echo_response(echo: Echo, out: &mut [u8]) -> Result<usize, EncodeError> {
 ///
 /// # Errors
 /// The buffer is too small.
-pub fn response_status(status: i32, out: &mut [u8]) -> Result<usize, EncodeError> {
+pub fn response_status(status: i32, out: &mut [u8]) -> Encoded {
     let mut writer = Writer::new(out);
     writer.i32(status, "response status");
     writer.finish(MessageId::Response)
@@ -129,7 +132,7 @@ pub fn response_status(status: i32, out: &mut [u8]) -> Result<usize, EncodeError
 ///
 /// # Errors
 /// The buffer is too small.
-pub fn disconnect(out: &mut [u8]) -> Result<usize, EncodeError> {
+pub fn disconnect(out: &mut [u8]) -> Encoded {
     Writer::new(out).finish(MessageId::Disconnect)
 }
 
@@ -137,7 +140,7 @@ pub fn disconnect(out: &mut [u8]) -> Result<usize, EncodeError> {
 ///
 /// # Errors
 /// The buffer is too small.
-pub fn unrecognized(out: &mut [u8]) -> Result<usize, EncodeError> {
+pub fn unrecognized(out: &mut [u8]) -> Encoded {
     Writer::new(out).finish(MessageId::Unrecognized)
 }
 
@@ -163,7 +166,7 @@ pub fn model_definitions(
     version: BitstreamVersion,
     datasets: &[Dataset<'_>],
     out: &mut [u8],
-) -> Result<usize, EncodeError> {
+) -> Encoded {
     let mut writer = Writer::new(out);
     writer.count(datasets.len(), "dataset count");
     for dataset in datasets {

@@ -109,12 +109,9 @@ impl PlanarConfig {
         rigid_body: &str,
         up_axis: UpAxis,
     ) -> Result<Self, PlanarConfigError> {
-        let name = RigidBodyName::try_from(rigid_body)
-            .ok()
-            .filter(|name| !name.is_empty())
-            .ok_or(PlanarConfigError::RigidBodyName {
-                len: rigid_body.len(),
-            })?;
+        let (name, len) = (RigidBodyName::try_from(rigid_body), rigid_body.len());
+        let name = name.ok().filter(|_| len > 0);
+        let name = name.ok_or(PlanarConfigError::RigidBodyName { len })?;
         Ok(Self {
             session: SessionConfig::new(server, transport, up_axis),
             rigid_body: name,

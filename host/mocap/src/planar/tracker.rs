@@ -133,11 +133,7 @@ impl PlanarTracker {
 
     /// The body's pose in the plane, or why it is rejected without regard to earlier
     /// poses.
-    fn candidate(
-        &self,
-        state: BodyState,
-        frame: &PoseFrame<'_>,
-    ) -> Result<PlanarPose, RejectReason> {
+    fn candidate(&self, state: BodyState, frame: &PoseFrame<'_>) -> Candidate {
         let capture = frame.capture.ok_or(RejectReason::CaptureTime);
         let (pose, capture) = match state {
             BodyState::Tracked(pose) => (pose, capture?),
@@ -157,6 +153,9 @@ impl PlanarTracker {
         Ok(pose)
     }
 }
+
+/// A pose that may follow the last one, or why it can't whatever came before.
+type Candidate = Result<PlanarPose, RejectReason>;
 
 /// The plausibility check of a [`PlanarTracker`], which is also for poses
 /// that were recorded without one.
@@ -192,7 +191,7 @@ impl PoseGate {
         self.last_valid.map(|pose| [pose.x_m, pose.y_m, pose.z_m])
     }
 
-    fn judge_candidate(&mut self, candidate: Result<PlanarPose, RejectReason>) -> PoseState {
+    fn judge_candidate(&mut self, candidate: Candidate) -> PoseState {
         let pose = match candidate {
             Ok(pose) => pose,
             Err(reason) => {
@@ -209,11 +208,8 @@ impl PoseGate {
         };
         let follows = |last| self.follows(&last, &pose).is_ok();
         let is_consistent = self.last_implausible.is_some_and(follows) && self.is_locked_out();
-        self.consistent = if is_consistent {
-            self.consistent + 1
-        } else {
-            0
-        };
+        let run = self.consistent + 1;
+        self.consistent = if is_consistent { run } else { 0 };
         if is_consistent && self.consistent >= self.limits.max_consecutive_rejects {
             return self.accept(pose, true);
         }

@@ -17,7 +17,7 @@ use crate::{
     config::SessionConfig,
     names::Names,
     pose_source::{LocalEnd, Output, SessionEvent},
-    stream::{Broken, Dialogue, Incoming, LastFrame, Link, Over, StreamSession},
+    stream::{Broken, Dialogue, Incoming, LastFrame, Link, Over, StreamSession, Taken},
 };
 
 pub use crate::names::BodyList;
@@ -216,7 +216,7 @@ impl Dialogue for QualisysDialogue {
         };
     }
 
-    fn read(&mut self, bytes: &[u8], with: &mut Incoming<'_>) -> Result<Option<usize>, Broken> {
+    fn read(&mut self, bytes: &[u8], with: &mut Incoming<'_>) -> Taken {
         let Some(size) = bytes.first_chunk() else {
             return Ok(None);
         };

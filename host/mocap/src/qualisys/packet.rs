@@ -194,10 +194,8 @@ impl<'a> Packet<'a> {
 
     /// That text in whatever encoding it is: names in it may be in another one than the rest.
     pub fn text_bytes(&self) -> &'a [u8] {
-        self.body
-            .split(|byte| *byte == 0)
-            .next()
-            .unwrap_or_default()
+        let mut texts = self.body.split(|byte| *byte == 0);
+        texts.next().unwrap_or_default()
     }
 
     /// The frame in a packet of data; `None` if it holds no bodies, or is damaged.

@@ -118,10 +118,8 @@ impl Session {
     /// When the last frame arrived that could be decoded, or when the session began
     /// to wait for the first.
     fn decodable_until_ns(&self) -> u64 {
-        self.common
-            .last_frame_ns
-            .unwrap_or_default()
-            .max(self.schedule.listening_since_ns)
+        let frame_ns = self.common.last_frame_ns.unwrap_or_default();
+        frame_ns.max(self.schedule.listening_since_ns)
     }
 }
 

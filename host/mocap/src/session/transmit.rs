@@ -96,11 +96,9 @@ impl Session {
             && now_ns >= due_ns
         {
             let exchanges = self.clock.echo.as_ref().map_or(0, EchoClock::len);
-            let interval_ns = if exchanges < QUICK_ECHOES {
-                QUICK_ECHO_NS.min(timing.echo_ns)
-            } else {
-                timing.echo_ns
-            };
+            let is_quick = exchanges < QUICK_ECHOES;
+            let most_ns = if is_quick { QUICK_ECHO_NS } else { u64::MAX };
+            let interval_ns = timing.echo_ns.min(most_ns);
             self.schedule.echo_ns = now_ns.saturating_add(interval_ns);
             self.echo_stamp = Some(now_ns);
             let client_stamp = now_ns;

@@ -44,6 +44,9 @@ pub enum Broken {
     Foreign,
 }
 
+/// How many bytes a message took; none of one that is not complete.
+pub(crate) type Taken = Result<Option<usize>, Broken>;
+
 /// The longest message that is taken from a stream.
 pub(crate) const LONGEST: usize = 1 << 20;
 
@@ -56,7 +59,7 @@ pub trait Dialogue {
     ///
     /// # Errors
     /// The stream can't go on.
-    fn read(&mut self, bytes: &[u8], with: &mut Incoming<'_>) -> Result<Option<usize>, Broken>;
+    fn read(&mut self, bytes: &[u8], with: &mut Incoming<'_>) -> Taken;
 
     /// Says what is due.
     fn poll(&mut self, now_ns: u64, link: &mut Link);

@@ -2,7 +2,7 @@
 
 use core::net::SocketAddr;
 
-use super::{Broken, Dialogue, Incoming, Link, Over};
+use super::{Broken, Dialogue, Incoming, Link, Over, Taken};
 use crate::{
     config::{SessionConfig, Transport},
     pose_source::{
@@ -61,12 +61,7 @@ impl<D: Dialogue> StreamSession<D> {
         used.min(bytes.len())
     }
 
-    fn read(
-        &mut self,
-        bytes: &[u8],
-        over: Over,
-        wake: &mut Wake<'_>,
-    ) -> Result<Option<usize>, Broken> {
+    fn read(&mut self, bytes: &[u8], over: Over, wake: &mut Wake<'_>) -> Taken {
         let mut with = Incoming {
             now_ns: wake.now_ns,
             over,

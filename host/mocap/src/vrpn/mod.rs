@@ -20,7 +20,7 @@ use crate::{
     config::SessionConfig,
     names::{CONTROL, NAME_LEN, Names, SenderName, body_id},
     pose_source::Output,
-    stream::{Broken, Dialogue, Incoming, LastFrame, Link, Over, StreamSession},
+    stream::{Broken, Dialogue, Incoming, LastFrame, Link, Over, StreamSession, Taken},
 };
 
 pub use crate::names::Senders;
@@ -283,7 +283,7 @@ impl Dialogue for VrpnDialogue {
         link.say(&COOKIE);
     }
 
-    fn read(&mut self, bytes: &[u8], with: &mut Incoming<'_>) -> Result<Option<usize>, Broken> {
+    fn read(&mut self, bytes: &[u8], with: &mut Incoming<'_>) -> Taken {
         if !self.welcomed {
             let seen = bytes.len().min(COOKIE_BEGINNING.len());
             if bytes.get(..seen) != COOKIE_BEGINNING.get(..seen) {
@@ -312,11 +312,9 @@ impl Dialogue for VrpnDialogue {
             self.ping_due_ns = now_ns.saturating_add(QUICK_PING_NS);
             return;
         }
-        let every_ns = if link.exchanges() < QUICK_PINGS {
-            QUICK_PING_NS.min(self.ping_every_ns)
-        } else {
-            self.ping_every_ns
-        };
+        let is_quick = link.exchanges() < QUICK_PINGS;
+        let most_ns = if is_quick { QUICK_PING_NS } else { u64::MAX };
+        let every_ns = self.ping_every_ns.min(most_ns);
         self.ping_due_ns = now_ns.saturating_add(every_ns.max(1));
         // An answer has no number: one ping at a time, or the next could take its answer. An object
         // that was made since may answer the next.
