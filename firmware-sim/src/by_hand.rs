@@ -45,14 +45,9 @@ impl FromStr for HandCommand {
         let mut words = line.split_whitespace();
         let name = words.next().ok_or(UnknownHandCommand)?;
         let words: Vec<&str> = words.collect();
-        let numbers: Vec<f64> = words
-            .iter()
-            .filter_map(|word| word.parse().ok())
-            .filter(|number: &f64| number.is_finite())
-            .collect();
-        if numbers.len() == words.len()
-            && let Some(motion) = motion(name, &numbers)
-        {
+        let finite = |word: &&str| word.parse().ok().filter(|number: &f64| number.is_finite());
+        let numbers: Option<Vec<f64>> = words.iter().map(finite).collect();
+        if let Some(motion) = numbers.and_then(|numbers| motion(name, &numbers)) {
             return Ok(Self::Move(motion));
         }
         Ok(match (name, words.as_slice()) {

@@ -158,11 +158,8 @@ impl Integrator {
             let step = if last { remaining } else { D::from(self.step) };
             let to = if last { end } else { time + step };
             let (candidate, error) = stages(state, time.re(), step, to.re(), derivative)?;
-            let factor = if error == 0.0 {
-                5.0
-            } else {
-                (0.9 * libm::pow(error, -0.2)).clamp(0.2, 5.0)
-            };
+            // Without any error the power is infinite.
+            let factor = (0.9 * libm::pow(error, -0.2)).clamp(0.2, 5.0);
             // A step shortened by the end of the interval says nothing about the next.
             if !last || factor < 1.0 {
                 self.step = step.re() * factor;

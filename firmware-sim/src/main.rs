@@ -1,7 +1,7 @@
 //! `singletrack-sim`: the real-time simulator, with the board behind a
 //! pseudo-terminal and the cameras behind UDP. On a Unix socket it takes commands of hands as lines.
 
-use std::{io, path::Path, process::ExitCode, time::Duration};
+use std::{convert::Infallible, io, path::Path, process::ExitCode, time::Duration};
 
 use clap::Parser as _;
 use singletrack_sim::{
@@ -48,7 +48,7 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         }
     };
     let failure = tokio::select! {
-        error = hands => return Err(format!("the hands' socket: {error}").into()),
+        Err(error) = hands => return Err(format!("the hands' socket: {error}").into()),
         _ = interrupt.recv() => None,
         _ = terminate.recv() => None,
         () = end => None,
@@ -128,19 +128,14 @@ const LOOK: Duration = Duration::from_millis(20);
 const LONGEST: usize = 256;
 
 /// Serves one person after the other; it ends only with an error.
-async fn serve_hands(simulator: &RealTimeSimulator, path: &Path) -> io::Error {
+async fn serve_hands(simulator: &RealTimeSimulator, path: &Path) -> io::Result<Infallible> {
     // The link of a simulator that was killed.
     let _ = std::fs::remove_file(path);
-    let listener = match UnixListener::bind(path) {
-        Ok(listener) => listener,
-        Err(error) => return error,
-    };
+    let listener = UnixListener::bind(path)?;
     loop {
-        match listener.accept().await {
-            // A person who leaves is no failure.
-            Ok((stream, _)) => drop(attend(simulator, stream).await),
-            Err(error) => return error,
-        }
+        let (stream, _) = listener.accept().await?;
+        // A person who leaves is no failure.
+        drop(attend(simulator, stream).await);
     }
 }
 

@@ -281,11 +281,11 @@ impl NatNetServer {
         let p = self.parameters;
         let client = self.client_mut(from).filter(|_| !p.multicast);
         let version = client.map_or(p.bitstream, |client| client.bitstream);
-        let mut datasets = vec![Dataset::MarkerSet {
+        let mut models = vec![Dataset::MarkerSet {
             name: &cameras.car.name,
             marker_names: &MARKER_NAMES,
         }];
-        datasets.extend(cameras.names().map(|(id, name)| {
+        models.extend(cameras.names().map(|(id, name)| {
             Dataset::RigidBody(RigidBodyDefinition {
                 name: name.as_bytes(),
                 id,
@@ -293,9 +293,7 @@ impl NatNetServer {
                 offset_m: [0.0; 3],
             })
         }));
-        self.answer(from, |out| {
-            encode::model_definitions(version, &datasets, out)
-        })
+        self.answer(from, |out| encode::model_definitions(version, &models, out))
     }
 
     fn text_request(&mut self, from: SocketAddr, text: &str) -> Option<Datagram> {

@@ -194,12 +194,10 @@ impl StreamServer for QtmServer {
         client: &mut Client<QtmClient>,
     ) -> Vec<u8> {
         let mut bytes = Vec::new();
-        let Some(streamed) = &client.state.stream else {
+        let is_due = |streamed: &&Streamed| frame.number % streamed.divisor == 0;
+        let Some(streamed) = client.state.stream.as_ref().filter(is_due) else {
             return bytes;
         };
-        if frame.number % streamed.divisor != 0 {
-            return bytes;
-        }
         let bodies: Vec<_> = cameras
             .names()
             .map(|(id, _)| {

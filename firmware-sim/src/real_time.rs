@@ -157,7 +157,10 @@ impl RealTimeSimulator {
         let sockets = Sockets::bind(config.cameras, &config.udp, &mut world)?;
         let pty = Pty::open(config.pty_link.as_deref())?;
         let pty_path = pty.path().to_owned();
-        let (command_address, data_address) = sockets.addresses();
+        let (command_address, data_address) = match &sockets {
+            Sockets::NatNet(natnet) => (natnet.command_address, natnet.data_address),
+            Sockets::Stream(servers) => (servers.address, servers.address),
+        };
         let (requests, receiver) = mpsc::channel();
         let stop = Arc::new(AtomicBool::new(false));
         let started_ns = monotonic_ns();
@@ -272,10 +275,8 @@ impl RealTimeSimulator {
     /// [`RealTimeError::Stopped`] if the thread has already ended.
     pub fn stop(mut self) -> Result<Finished, RealTimeError> {
         self.stop.store(true, Ordering::Relaxed);
-        self.thread
-            .take()
-            .and_then(|thread| thread.join().ok())
-            .ok_or(RealTimeError::Stopped)
+        let thread = self.thread.take().ok_or(RealTimeError::Stopped)?;
+        thread.join().map_err(|_| RealTimeError::Stopped)
     }
 
     fn with_machine<R: Send + 'static>(
@@ -283,12 +284,12 @@ impl RealTimeSimulator {
         action: impl FnOnce(&mut Machine) -> R + Send + 'static,
     ) -> Result<R, RealTimeError> {
         let (sender, receiver) = mpsc::sync_channel(1);
-        self.requests
-            .send(Box::new(move |machine| {
-                // The caller may have gone.
-                let _ = sender.send(action(machine));
-            }))
-            .map_err(|_| RealTimeError::Stopped)?;
+        let request: Request = Box::new(move |machine| {
+            // The caller may have gone.
+            let _ = sender.send(action(machine));
+        });
+        let sent = self.requests.send(request);
+        sent.map_err(|_| RealTimeError::Stopped)?;
         receiver.recv().map_err(|_| RealTimeError::Stopped)
     }
 }
@@ -339,14 +340,6 @@ impl Sockets {
             ServerKind::Vrpn => Self::Stream(Box::new(StreamServers::vrpn(interface, port)?)),
             ServerKind::Qualisys => Self::Stream(Box::new(StreamServers::qtm(interface, port)?)),
         })
-    }
-
-    /// Where commands are taken, and where frames come from.
-    fn addresses(&self) -> (SocketAddrV4, SocketAddrV4) {
-        match self {
-            Self::NatNet(sockets) => (sockets.command_address, sockets.data_address),
-            Self::Stream(servers) => (servers.address, servers.address),
-        }
     }
 }
 

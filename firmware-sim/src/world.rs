@@ -188,9 +188,8 @@ impl World {
             }
             (ImuSupply::Failed, false) => {
                 let restart_us = self.config.car.imu.restart_ms * 1e3;
-                ImuSupply::Starting {
-                    until_us: now_us + restart_us as u64,
-                }
+                let until_us = now_us + restart_us as u64;
+                ImuSupply::Starting { until_us }
             }
             (ImuSupply::Starting { until_us }, false) if now_us >= until_us => {
                 self.imu.restart();
@@ -205,11 +204,9 @@ impl World {
     }
 
     fn send_frame(&mut self, frame: CameraFrame) {
-        for datagram in self.natnet.frame(self.now_us, &frame) {
-            push_bounded(&mut self.datagrams, datagram, QUEUE_CAPACITY);
-        }
-        if let Some(forged) = self.cameras.forge(&frame) {
-            for datagram in self.natnet.frame(self.now_us, &forged) {
+        let forged = self.cameras.forge(&frame);
+        for sent in core::iter::once(&frame).chain(&forged) {
+            for datagram in self.natnet.frame(self.now_us, sent) {
                 push_bounded(&mut self.datagrams, datagram, QUEUE_CAPACITY);
             }
         }

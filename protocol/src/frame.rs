@@ -265,12 +265,9 @@ impl Decoder {
         let Some(payload_length) = usize::from(self.length).checked_sub(ENVELOPE_LENGTH) else {
             return Err(FrameError::TooShort(self.length));
         };
-        let [kind, rest @ ..] = &self.packet;
+        let [kind, ref rest @ ..] = self.packet;
         match rest.get(..payload_length) {
-            Some(payload) if self.crc.is_residue() => Ok(Packet {
-                kind: *kind,
-                payload,
-            }),
+            Some(payload) if self.crc.is_residue() => Ok(Packet { kind, payload }),
             _ => Err(FrameError::CheckSum),
         }
     }

@@ -180,25 +180,19 @@ impl Devices {
     }
 
     fn update_pins(&mut self, now: u64) {
-        for (index, (channel, bit)) in [(0, 1), (1, 2)].into_iter().enumerate() {
-            let port = self.ports[0];
+        let Port { direction, output } = self.ports[0];
+        for (channel, bit, pin) in [(0, 0x02, Pin::Servo), (1, 0x04, Pin::Esc)] {
             // The resistor at the ESC pulls a floating pin low.
             let driven = self.timer1.output(channel);
-            let high =
-                port.direction & 1 << bit != 0 && driven.unwrap_or(port.output & 1 << bit != 0);
-            match (high, self.high_since[index]) {
-                (true, None) => self.high_since[index] = Some(now),
-                (false, Some(start)) => {
-                    self.high_since[index] = None;
-                    if now > start {
-                        self.pulses.push(Pulse {
-                            pin: if index == 0 { Pin::Servo } else { Pin::Esc },
-                            start,
-                            width: now - start,
-                        });
-                    }
-                }
-                _ => {}
+            let high = direction & bit != 0 && driven.unwrap_or(output & bit != 0);
+            let since = &mut self.high_since[channel];
+            if high {
+                since.get_or_insert(now);
+            } else if let Some(start) = since.take()
+                && now > start
+            {
+                let width = now - start;
+                self.pulses.push(Pulse { pin, start, width });
             }
         }
     }
@@ -272,8 +266,8 @@ impl Devices {
             TWCR => self.twi.control,
             TWAMR => self.twi.own_address[1],
             UCSR0A..=UCSR0C => self.uart.control(usize::from(address - UCSR0A)),
-            UBRR0L => self.uart.divider()[0],
-            UBRR0H => self.uart.divider()[1],
+            UBRR0L => self.uart.divider[0],
+            UBRR0H => self.uart.divider[1],
             UDR0 => {
                 self.changed = true;
                 self.uart.read_data(now)
@@ -310,8 +304,8 @@ impl Devices {
             TWCR => self.twi.set_control(now, value),
             TWAMR => self.twi.own_address[1] = value,
             UCSR0A..=UCSR0C => self.uart.set_control(usize::from(address - UCSR0A), value),
-            UBRR0L => self.uart.set_divider(true, value),
-            UBRR0H => self.uart.set_divider(false, value),
+            UBRR0L => self.uart.divider[0] = value,
+            UBRR0H => self.uart.divider[1] = value & 0x0F,
             UDR0 => self.uart.write_data(now, value),
             _ => return,
         }

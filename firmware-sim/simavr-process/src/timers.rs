@@ -76,11 +76,8 @@ impl Timer1 {
         let shift = if channel == 0 { 6 } else { 4 };
         let mode = (self.control[0] >> shift) & 3;
         // In fast PWM, only channel A can toggle, in modes 14 and 15.
-        if mode == 1 && self.is_fast_pwm() && (channel == 1 || self.mode() < 14) {
-            0
-        } else {
-            mode
-        }
+        let can_toggle = !self.is_fast_pwm() || channel == 0 && self.mode() >= 14;
+        if mode == 1 && !can_toggle { 0 } else { mode }
     }
 
     /// Level of a channel's pin, if the timer controls it.
@@ -283,11 +280,8 @@ impl Watchdog {
         if value & WDCE != 0 && value & WDE != 0 {
             self.open_until = Some(now + CHANGE);
         }
-        let settings = if open {
-            value & (WDE | WDP3 | 7)
-        } else {
-            (self.control | value & WDE) & (WDE | WDP3 | 7)
-        };
+        let kept = self.control | value & WDE;
+        let settings = if open { value } else { kept } & (WDE | WDP3 | 7);
         self.control = flag | value & WDIE | settings;
         if !ran {
             self.counts_since = now;

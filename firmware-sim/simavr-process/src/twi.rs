@@ -39,7 +39,7 @@ enum Action {
 pub(crate) struct Twi {
     pub(crate) imu: Bno055,
     fault: BusFault,
-    /// Pulses that the jammed slave still needs.
+    /// Pulses that a jammed slave still needs; zero with any other fault.
     pulses_to_free: u8,
     clock_high: bool,
     pub(crate) bit_rate: u8,
@@ -95,24 +95,18 @@ impl Twi {
     pub(crate) fn set_fault(&mut self, now: u64, fault: BusFault) {
         self.fault = fault;
         self.pulses_to_free = 0;
-        match fault {
-            BusFault::Jammed => self.pulses_to_free = PULSES_TO_FREE,
-            BusFault::Restarted => {
-                self.imu.restart();
-                self.fault = BusFault::None;
-            }
-            BusFault::None | BusFault::Absent | BusFault::ShortCircuit => {}
+        if fault == BusFault::Jammed {
+            self.pulses_to_free = PULSES_TO_FREE;
+        } else if fault == BusFault::Restarted {
+            self.imu.restart();
+            self.fault = BusFault::None;
         }
         self.line_changed(now);
     }
 
     /// Whether another device holds the data line low.
     pub(crate) fn data_held_low(&self) -> bool {
-        match self.fault {
-            BusFault::Jammed => self.pulses_to_free > 0,
-            BusFault::ShortCircuit => true,
-            BusFault::None | BusFault::Absent | BusFault::Restarted => false,
-        }
+        self.pulses_to_free > 0 || self.fault == BusFault::ShortCircuit
     }
 
     /// Sets the level of the clock line from the port, while the interface is off.
@@ -138,12 +132,10 @@ impl Twi {
     }
 
     fn begin(&mut self, now: u64, action: Action) {
-        let bits = match action {
-            Action::Start | Action::Stop => 1,
-            Action::Address | Action::Send | Action::Receive => 9,
-        };
+        let is_condition = matches!(action, Action::Start | Action::Stop);
+        let bits = if is_condition { 1 } else { 9 };
         // Neither condition is possible while the data line can't rise.
-        let stuck = matches!(action, Action::Start | Action::Stop) && self.data_held_low();
+        let stuck = is_condition && self.data_held_low();
         let due = now + bits * self.cycles_per_bit();
         let end = if stuck { u64::MAX } else { due };
         self.action = Some((action, end));
@@ -159,9 +151,7 @@ impl Twi {
         {
             self.action = None;
             match action {
-                Action::Start | Action::Stop if self.data_held_low() => {
-                    self.action = Some((action, u64::MAX));
-                }
+                Action::Start | Action::Stop if self.data_held_low() => self.begin(end, action),
                 Action::Start => {
                     let again = std::mem::replace(&mut self.owns_bus, true);
                     self.finish(if again { STARTED_AGAIN } else { STARTED });

@@ -20,7 +20,7 @@ const FORMAT_8N1: u8 = 0x06;
 pub(crate) struct Uart {
     /// UCSR0A without its flags, UCSR0B, UCSR0C, UBRR0.
     control: [u8; 3],
-    divider: u16,
+    pub(crate) divider: [u8; 2],
     received: VecDeque<u8>,
     /// A byte waiting in the receiver's shift register, and the time at which that
     /// was last free.
@@ -38,7 +38,7 @@ impl Default for Uart {
     fn default() -> Self {
         Self {
             control: [0, 0, FORMAT_8N1],
-            divider: 0,
+            divider: [0; 2],
             received: VecDeque::new(),
             waiting: None,
             free_since: 0,
@@ -63,17 +63,13 @@ impl Uart {
 
     fn cycles_per_bit(&self) -> u64 {
         let samples = if self.control[0] & U2X != 0 { 8 } else { 16 };
-        samples * (u64::from(self.divider) + 1)
+        samples * (u64::from(u16::from_le_bytes(self.divider)) + 1)
     }
 
     /// Start bit, data, parity and stop bits.
     fn bits_per_byte(&self) -> u64 {
         let [_, b, c] = self.control;
-        let data = if b & UCSZ2 != 0 {
-            9
-        } else {
-            5 + ((c >> 1) & 3)
-        };
+        let data = 5 + if b & UCSZ2 != 0 { 4 } else { (c >> 1) & 3 };
         u64::from(1 + data + u8::from(c & 0x20 != 0) + 1 + u8::from(c & 0x08 != 0))
     }
 
@@ -157,12 +153,8 @@ impl Uart {
     }
 
     pub(crate) fn control(&self, register: usize) -> u8 {
-        let value = self.control.get(register).copied().unwrap_or(0);
-        if register == 0 {
-            value | self.flags()
-        } else {
-            value
-        }
+        let flags = if register == 0 { self.flags() } else { 0 };
+        self.control[register] | flags
     }
 
     pub(crate) fn set_control(&mut self, register: usize, value: u8) {
@@ -184,19 +176,6 @@ impl Uart {
             _ => self.control[2] = value,
         }
     }
-
-    pub(crate) fn divider(&self) -> [u8; 2] {
-        self.divider.to_le_bytes()
-    }
-
-    pub(crate) fn set_divider(&mut self, low: bool, value: u8) {
-        let [old_low, old_high] = self.divider.to_le_bytes();
-        self.divider = u16::from_le_bytes(if low {
-            [value, old_high]
-        } else {
-            [old_low, value & 0x0F]
-        });
-    }
 }
 
 #[cfg(test)]
@@ -208,7 +187,7 @@ mod tests {
 
     fn uart() -> Uart {
         let mut uart = Uart::default();
-        uart.set_divider(true, 16);
+        uart.divider = [16, 0];
         uart.set_control(0, U2X);
         uart.set_control(1, RXEN | TXEN);
         uart

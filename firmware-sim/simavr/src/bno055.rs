@@ -245,33 +245,25 @@ impl Bno055 {
         if mode == self.mode || mode > 0x0C {
             return;
         }
-        let time = if mode == CONFIGURATION {
-            TO_CONFIGURATION
-        } else {
-            FROM_CONFIGURATION
-        };
+        let (into, out_of) = (TO_CONFIGURATION, FROM_CONFIGURATION);
+        let time = if mode == CONFIGURATION { into } else { out_of };
         self.next_mode = Some((mode, now + time));
     }
 
     fn settle(&mut self, now: u64) {
-        if let Some((mode, since)) = self.next_mode
-            && now >= since
-        {
+        let is_over = |(_, since): &mut (u8, u64)| now >= *since;
+        if let Some((mode, _)) = self.next_mode.take_if(is_over) {
             self.mode = mode;
-            self.next_mode = None;
         }
     }
 
     /// The mode; `None` during a change.
-    const fn settled_mode(&self) -> Option<u8> {
-        match self.next_mode {
-            Some(_) => None,
-            None => Some(self.mode),
-        }
+    fn settled_mode(&self) -> Option<u8> {
+        self.next_mode.is_none().then_some(self.mode)
     }
 
     /// Whether the fusion computes attitude and linear acceleration.
-    const fn fuses(&self) -> bool {
+    fn fuses(&self) -> bool {
         matches!(self.settled_mode(), Some(0x08..=0x0C))
     }
 
@@ -292,11 +284,8 @@ impl Bno055 {
         if !self.fuses() {
             return [0; 3];
         }
-        let lsb_per_mm_s2 = if self.units & 1 == 0 {
-            0.1
-        } else {
-            1.0 / 9.806_65
-        };
+        let in_metres = self.units & 1 == 0;
+        let lsb_per_mm_s2 = if in_metres { 0.1 } else { 1.0 / 9.806_65 };
         scaled(self.motion.linear_acceleration_mm_s2, lsb_per_mm_s2)
     }
 

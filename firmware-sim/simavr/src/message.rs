@@ -2,10 +2,7 @@
 //!
 //! Over the pipe, a message is four bytes of length, little-endian, then postcard.
 
-use std::{
-    io,
-    io::{Read, Write},
-};
+use std::io::{self, Read, Write};
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 

@@ -172,12 +172,10 @@ impl SimulatedBoard {
     /// The board's clock, in µs, wrapping; `None` while it does not run. The
     /// image's own clock lags by up to a millisecond.
     pub fn board_time_us(&self, simulation_us: u64) -> Option<u32> {
-        match self.phase {
-            PowerState::Running { started_us } => {
-                Some(local_time(&self.clock, started_us, simulation_us))
-            }
-            _ => None,
-        }
+        let PowerState::Running { started_us } = self.phase else {
+            return None;
+        };
+        Some(local_time(&self.clock, started_us, simulation_us))
     }
 
     /// The native board's code, for inspection; `None` while it does not run.
@@ -309,14 +307,13 @@ impl SimulatedBoard {
     }
 
     pub(crate) fn take_imu(&mut self, now_us: u64, reading: Motion) {
-        match &mut self.machine {
-            Machine::Native(native) => {
-                if let PowerState::Running { started_us } = self.phase {
-                    native.take_imu(local_time(&self.clock, started_us, now_us), reading);
-                }
+        match (self.board_time_us(now_us), &mut self.machine) {
+            (Some(board_time_us), Machine::Native(native)) => {
+                native.take_imu(board_time_us, reading);
             }
+            (None, Machine::Native(_)) => {}
             // The sensor measures even if the board does not run.
-            Machine::Image(image) => image.take_imu(now_us, reading),
+            (_, Machine::Image(image)) => image.take_imu(now_us, reading),
         }
     }
 

@@ -1,6 +1,6 @@
 //! Memory usage of an image.
 
-use std::path::Path;
+use std::{fmt::Display, path::Path};
 
 use object::{Architecture, Object, ObjectSection, SectionKind};
 
@@ -10,7 +10,7 @@ use super::UnoError;
 const DATA_SPACE: u64 = 0x80_0000;
 
 /// Memory usage of an image on the ATmega328P.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ImageSize {
     /// Program, constants and initial values, in bytes.
     pub flash_bytes: u64,
@@ -25,19 +25,12 @@ impl ImageSize {
     ///
     /// Fails if the file is not a readable image.
     pub fn read(image: &Path) -> Result<Self, UnoError> {
-        let unreadable = |reason: String| {
-            UnoError(format!(
-                "can't read the image {}: {reason}",
-                image.display()
-            ))
-        };
-        let bytes = std::fs::read(image).map_err(|error| unreadable(error.to_string()))?;
-        let file =
-            object::File::parse(bytes.as_slice()).map_err(|error| unreadable(error.to_string()))?;
-        let mut size = Self {
-            flash_bytes: 0,
-            static_bytes: 0,
-        };
+        let name = image.display();
+        let unreadable =
+            |reason: &dyn Display| UnoError(format!("can't read the image {name}: {reason}"));
+        let bytes = std::fs::read(image).map_err(|error| unreadable(&error))?;
+        let file = object::File::parse(bytes.as_slice()).map_err(|error| unreadable(&error))?;
+        let mut size = Self::default();
         for section in file.sections() {
             let in_data_space = section.address() >= DATA_SPACE;
             let (flash, data) = match section.kind() {
@@ -51,7 +44,7 @@ impl ImageSize {
         }
         // A program for another processor would give sizes, too.
         if file.architecture() != Architecture::Avr {
-            return Err(unreadable("not for an AVR processor".to_owned()));
+            return Err(unreadable(&"not for an AVR processor"));
         }
         Ok(size)
     }

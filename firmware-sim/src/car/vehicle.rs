@@ -129,13 +129,12 @@ impl Car {
     /// Begins what a person does with the car; a motion that is under way ends where it is.
     /// A car that moves is stopped.
     pub fn begin_by_hand(&mut self, motion: HandMotion) {
-        let track = self.state.track;
+        let SingleTrackState { x, y, yaw, .. } = self.state.track;
         if !self.wheels_are_up() {
             self.state.wheel_speed = 0.0;
         }
-        self.state.track = standing([track.x, track.y], track.yaw);
-        self.hands
-            .begin(motion, self.now_us, [track.x, track.y], track.yaw);
+        self.state.track = standing([x, y], yaw);
+        self.hands.begin(motion, self.now_us, [x, y], yaw);
     }
 
     /// Whether a motion by hand is under way.

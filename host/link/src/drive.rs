@@ -160,11 +160,8 @@ fn pose_age_ms(pose_time_ns: Option<u64>, telemetry_time_ns: u64) -> u16 {
 /// host, or after more than 127 lost commands).
 pub(crate) fn next_sequence(last_sent: Sequence, last_accepted: Sequence) -> Sequence {
     let next = last_sent.next();
-    if next.is_newer_than(last_accepted) {
-        next
-    } else {
-        last_accepted.next()
-    }
+    let newer = next.is_newer_than(last_accepted);
+    if newer { next } else { last_accepted.next() }
 }
 
 /// Commands remembered until their echo: 320 ms at 100 Hz, more than the time to

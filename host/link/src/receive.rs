@@ -1,7 +1,7 @@
 //! What the session makes of the bytes that it receives.
 
 use singletrack_protocol::{
-    FrameError, Hello, ImuState, Message, RefusalReason, Request, Sequence, Status,
+    FrameError, Hello, Identity, ImuState, Message, RefusalReason, Request, Sequence, Status,
     TELEMETRY_PERIOD_US, Telemetry, ToHost, UNSOLICITED, VERSION, frame_length,
 };
 
@@ -27,27 +27,19 @@ impl Session {
             let Some(outcome) = self.decoder.push(byte) else {
                 continue;
             };
-            match outcome.map(ToHost::decode) {
-                Err(error) => self.damaged(now_ns, error),
-                Ok(message) => {
-                    self.quality.good(now_ns);
-                    self.counters.frames_received += 1;
-                    match message {
-                        Ok(message) => self.message(message, wake),
-                        // Messages of another version need not be decoded.
-                        Err(_) if !self.phase.is_connected() => self.counters.frames_ignored += 1,
-                        Err(_) => self.counters.decode_errors += 1,
-                    }
-                }
+            if outcome.is_ok() {
+                self.quality.good(now_ns);
+                self.counters.frames_received += 1;
+            } else {
+                self.quality.damaged(now_ns);
             }
-        }
-    }
-
-    fn damaged(&mut self, now_ns: u64, error: FrameError) {
-        self.quality.damaged(now_ns);
-        match error {
-            FrameError::CheckSum => self.counters.crc_errors += 1,
-            _ => self.counters.decode_errors += 1,
+            match outcome.map(ToHost::decode) {
+                Ok(Ok(message)) => self.message(message, wake),
+                // Messages of another version need not be decoded.
+                Ok(Err(_)) if !self.phase.is_connected() => self.counters.frames_ignored += 1,
+                Err(FrameError::CheckSum) => self.counters.crc_errors += 1,
+                Ok(Err(_)) | Err(_) => self.counters.decode_errors += 1,
+            }
         }
     }
 
@@ -75,9 +67,7 @@ impl Session {
                 self.answered((yes.request, yes.sequence), Ok(hash), wake);
             }
             ToHost::Refusal(no) => self.answered((no.request, no.sequence), Err(no.reason), wake),
-            ToHost::Identity(identity) => wake.tell(Event::Identified {
-                car_id: identity.car_id,
-            }),
+            ToHost::Identity(Identity { car_id }) => wake.tell(Event::Identified { car_id }),
         }
     }
 
@@ -92,15 +82,13 @@ impl Session {
             }
             return;
         }
-        match self.phase.greeting_mut() {
-            Some(greeting) if greeting.nonce == hello.nonce => {
-                if hello.protocol_version == VERSION {
-                    greeting.answered = Some(hello.software_version);
-                } else {
-                    self.version_mismatch(hello, wake);
-                }
+        let greeting = self.phase.greeting_mut();
+        match greeting.filter(|greeting| greeting.nonce == hello.nonce) {
+            Some(greeting) if hello.protocol_version == VERSION => {
+                greeting.answered = Some(hello.software_version);
             }
-            _ => self.counters.frames_ignored += 1,
+            Some(_) => self.version_mismatch(hello, wake),
+            None => self.counters.frames_ignored += 1,
         }
     }
 
@@ -263,19 +251,16 @@ impl Session {
         }
         // A skew of 0.5 % changes the oldest age by 0.1 ms, which is the resolution.
         let age_ns = u64::from(telemetry.imu_age_100us) * 100_000;
-        let time_ns = record_time_ns
-            .saturating_sub(age_ns)
-            .max(self.last_imu_time_ns);
-        self.last_imu_time_ns = time_ns;
-        Some(time_ns)
+        let time_ns = record_time_ns.saturating_sub(age_ns);
+        self.last_imu_time_ns = self.last_imu_time_ns.max(time_ns);
+        Some(self.last_imu_time_ns)
     }
 
     fn status(&mut self, status: &Status, wake: &mut Wake<'_>) {
         self.board_quality.observe(status);
         wake.tell(Event::Status(*status));
-        if matches!(self.phase, Phase::Ready)
-            && status.configuration_hash != self.configuration_hash
-        {
+        let differs = status.configuration_hash != self.configuration_hash;
+        if differs && matches!(self.phase, Phase::Ready) {
             self.restarted(RestartEvidence::ConfigurationGone, wake);
         }
     }

@@ -410,10 +410,8 @@ impl Session {
             Phase::Ready => None,
         };
         let stop = self.stop.filter(|_| self.may_send_stop());
-        let (stop, arm) = (
-            stop.map(|stop| stop.next_ns),
-            self.arm.map(|arm| arm.next_ns),
-        );
+        let stop = stop.map(|stop| stop.next_ns);
+        let arm = self.arm.map(|arm| arm.next_ns);
         let silent_ns = self.last_heard_ns.saturating_add(LINK_TIMEOUT_NS);
         let silence = self.phase.is_connected().then_some(silent_ns);
         [handshake, stop, arm, silence].into_iter().flatten().min()
@@ -468,10 +466,8 @@ impl Session {
             if now_ns < greeting.next_ns {
                 return None;
             }
-            let interval_ns = match greeting.mismatch {
-                Some(_) => SLOW_RETRY_NS,
-                None => HELLO_INTERVAL_NS,
-            };
+            let mismatch = greeting.mismatch;
+            let interval_ns = mismatch.map_or(HELLO_INTERVAL_NS, |_| SLOW_RETRY_NS);
             greeting.next_ns = now_ns.saturating_add(interval_ns);
             let hello = Hello {
                 protocol_version: VERSION,

@@ -162,8 +162,10 @@ impl EchoClock {
                 libm::fabs(predicted.middle - measured.middle)
                     > predicted.half_width + measured.half_width
             });
+        let mut outcome = SampleUse::Agreed;
         if contradicts {
             self.samples.clear();
+            outcome = SampleUse::Stepped;
         }
         if self.samples.is_full() {
             self.samples.pop_front();
@@ -171,11 +173,7 @@ impl EchoClock {
         // Room was made above.
         let _ = self.samples.push_back(sample);
         self.fit_skew();
-        if contradicts {
-            SampleUse::Stepped
-        } else {
-            SampleUse::Agreed
-        }
+        outcome
     }
 
     /// The local time at which the server's clock shows these ticks.

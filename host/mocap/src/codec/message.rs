@@ -178,21 +178,17 @@ pub struct DataChannel {
 
 impl<'a> ServerInfo<'a> {
     pub(super) fn decode(packet: &Packet<'a>) -> Decoded<Self> {
-        let actual = packet.payload().len();
+        let (message, actual) = ("SERVERINFO", packet.payload().len());
         if actual != SENDER_LEN && actual != EXTENDED_LEN {
-            return Err(DecodeError::UnexpectedLength {
-                message: "SERVERINFO",
-                actual,
-            });
+            return Err(DecodeError::UnexpectedLength { message, actual });
         }
         let mut reader = packet.reader();
         let application = name_prefix(reader.take(SENDER_NAME_LEN, "server name")?);
         let application_version = reader.bytes4("server application version")?;
         let natnet_version = reader.bytes4("server NatNet version")?;
         let connection = if actual == EXTENDED_LEN {
-            let ticks_per_second = NonZeroU64::new(reader.u64("clock frequency")?);
             Some(Connection {
-                ticks_per_second,
+                ticks_per_second: NonZeroU64::new(reader.u64("clock frequency")?),
                 data_channel: DataChannel {
                     port: reader.u16("data port")?,
                     multicast: reader.u8("multicast flag")? != 0,
@@ -297,11 +293,9 @@ impl<'a> Connect<'a> {
     /// and only a payload that is too long is an error.
     fn decode(packet: &Packet<'a>) -> Decoded<Self> {
         let payload = packet.payload();
-        if payload.len() > MAX_CONNECT_LEN {
-            return Err(DecodeError::UnexpectedLength {
-                message: "CONNECT",
-                actual: payload.len(),
-            });
+        let (message, actual) = ("CONNECT", payload.len());
+        if actual > MAX_CONNECT_LEN {
+            return Err(DecodeError::UnexpectedLength { message, actual });
         }
         let name = payload.get(..SENDER_NAME_LEN).unwrap_or(payload);
         let rest = payload.get(SENDER_LEN + 1..).unwrap_or_default();

@@ -83,9 +83,8 @@ impl BitstreamVersion {
     pub fn new(major: u8, minor: u8) -> Result<Self, UnsupportedVersion> {
         let version = Self { major, minor };
         let is_read = (Self::OLDEST..=Self::NEWEST).contains(&version);
-        is_read
-            .then_some(version)
-            .ok_or(UnsupportedVersion { major, minor })
+        let unsupported = UnsupportedVersion { major, minor };
+        is_read.then_some(version).ok_or(unsupported)
     }
 
     /// The version in the four bytes `major, minor, build, revision` of the wire.

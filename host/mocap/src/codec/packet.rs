@@ -90,12 +90,10 @@ impl<'a> Packet<'a> {
         let mut reader = Reader::new(datagram, 0);
         let id = reader.u16("message id")?;
         let declared = usize::from(reader.u16("payload length")?);
+        let actual = reader.remaining();
         match reader.rest.split_at_checked(declared) {
             Some((payload, rest)) if rest.is_empty() || rest == surplus => Ok(Self { id, payload }),
-            _ => Err(DecodeError::LengthMismatch {
-                declared,
-                actual: reader.remaining(),
-            }),
+            _ => Err(DecodeError::LengthMismatch { declared, actual }),
         }
     }
 
@@ -126,11 +124,8 @@ pub(crate) struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     /// A reader of `bytes`, which begin `offset` bytes into the datagram.
-    pub(crate) const fn new(bytes: &'a [u8], offset: usize) -> Self {
-        Self {
-            rest: bytes,
-            offset,
-        }
+    pub(crate) const fn new(rest: &'a [u8], offset: usize) -> Self {
+        Self { rest, offset }
     }
 
     pub(crate) const fn offset(&self) -> usize {
@@ -143,7 +138,12 @@ impl<'a> Reader<'a> {
 
     pub(crate) fn take(&mut self, len: usize, field: &'static str) -> Decoded<&'a [u8]> {
         let Some((taken, rest)) = self.rest.split_at_checked(len) else {
-            return Err(self.truncated(len, field));
+            return Err(DecodeError::Truncated {
+                field,
+                offset: self.offset,
+                needed: len,
+                available: self.rest.len(),
+            });
         };
         self.rest = rest;
         self.offset += len;
@@ -151,21 +151,8 @@ impl<'a> Reader<'a> {
     }
 
     fn array<const N: usize>(&mut self, field: &'static str) -> Decoded<[u8; N]> {
-        let Some((taken, rest)) = self.rest.split_first_chunk::<N>() else {
-            return Err(self.truncated(N, field));
-        };
-        self.rest = rest;
-        self.offset += N;
-        Ok(*taken)
-    }
-
-    const fn truncated(&self, needed: usize, field: &'static str) -> DecodeError {
-        DecodeError::Truncated {
-            field,
-            offset: self.offset,
-            needed,
-            available: self.rest.len(),
-        }
+        // What is taken has this length.
+        Ok(self.take(N, field)?.try_into().unwrap_or([0; N]))
     }
 
     pub(crate) fn bytes4(&mut self, field: &'static str) -> Decoded<[u8; 4]> {
@@ -281,14 +268,13 @@ impl<'a> Reader<'a> {
     /// An error when bytes are left.
     pub(crate) const fn finish(&self, field: &'static str) -> Decoded<()> {
         if self.rest.is_empty() {
-            Ok(())
-        } else {
-            Err(DecodeError::TrailingBytes {
-                field,
-                offset: self.offset,
-                count: self.rest.len(),
-            })
+            return Ok(());
         }
+        Err(DecodeError::TrailingBytes {
+            field,
+            offset: self.offset,
+            count: self.rest.len(),
+        })
     }
 }
 

@@ -58,16 +58,12 @@ pub struct LabelledMarker {
 pub fn frame(version: BitstreamVersion, content: &FrameContent<'_>, out: &mut [u8]) -> Encoded {
     let mut writer = Writer::new(out);
     writer.i32(content.number, "frame number");
-    writer.section(
-        version,
-        content.marker_sets,
-        "marker sets",
-        |writer, set| {
-            writer.c_bytes(set.name.as_bytes(), "marker set name");
-            writer.count(set.markers_m.len(), "marker count");
-            writer.f32s(set.markers_m.as_flattened(), "marker");
-        },
-    );
+    let sets = content.marker_sets;
+    writer.section(version, sets, "marker sets", |writer, set| {
+        writer.c_bytes(set.name.as_bytes(), "marker set name");
+        writer.count(set.markers_m.len(), "marker count");
+        writer.f32s(set.markers_m.as_flattened(), "marker");
+    });
     writer.empty(version, "other markers");
     let bodies = content.rigid_bodies;
     writer.section(version, bodies, "rigid bodies", |writer, body| {

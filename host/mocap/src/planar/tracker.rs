@@ -244,9 +244,8 @@ impl PoseGate {
         // Accepting an old capture time would make the next pose plausible wherever it
         // is: the body would have had a long time to get there.
         let backward_ns = from.capture_time_ns.saturating_sub(to.capture_time_ns);
-        let uncertainty_ns = from
-            .capture_uncertainty_ns
-            .saturating_add(to.capture_uncertainty_ns);
+        let from_within_ns = from.capture_uncertainty_ns;
+        let uncertainty_ns = from_within_ns.saturating_add(to.capture_uncertainty_ns);
         if backward_ns > uncertainty_ns {
             return Err(RejectReason::CaptureTime);
         }
@@ -379,10 +378,8 @@ impl Neighbour {
             for place_m in [streamed_m, accepted_m].into_iter().flatten() {
                 let distance_m = distance(place_m, position_m);
                 if distance_m <= nearest.map_or(NEAR_M, |nearest| nearest.distance_m) {
-                    nearest = Some(Self {
-                        id: body.id,
-                        distance_m,
-                    });
+                    let id = body.id;
+                    nearest = Some(Self { id, distance_m });
                 }
             }
         }

@@ -147,6 +147,14 @@ impl ByteOrder {
             Self::Big => number.to_be_bytes(),
         }
     }
+
+    /// The low and the high half of a long number as they are on the wire, and back.
+    const fn halves(self, [low, high]: [u32; 2]) -> [u32; 2] {
+        match self {
+            Self::Little => [low, high],
+            Self::Big => [high, low],
+        }
+    }
 }
 
 impl Kind {
@@ -200,12 +208,9 @@ impl<'a> Packet<'a> {
 
     /// The frame in a packet of data; `None` if it holds no bodies, or is damaged.
     pub fn frame(&self, order: ByteOrder) -> Option<Frame<'a>> {
-        let (low, rest) = order.u32(self.body)?;
-        let (high, rest) = order.u32(rest)?;
-        let (low, high) = match order {
-            ByteOrder::Little => (low, high),
-            ByteOrder::Big => (high, low),
-        };
+        let (first, rest) = order.u32(self.body)?;
+        let (second, rest) = order.u32(rest)?;
+        let [low, high] = order.halves([first, second]);
         let (number, rest) = order.u32(rest)?;
         let (mut components, mut rest) = order.u32(rest)?;
         while components > 0 {
@@ -242,13 +247,11 @@ impl Frame<'_> {
     pub fn bodies(&self) -> impl Iterator<Item = FrameBody> {
         self.bodies.chunks_exact(self.body_len).map(|bytes| {
             let mut rest = bytes;
-            let mut next = || match self.order.u32(rest) {
-                Some((number, after)) => {
-                    rest = after;
-                    f32::from_bits(number)
-                }
-                // Only without residuals.
-                None => 0.0,
+            let mut next = || {
+                // Only residuals can lack.
+                let (number, after) = self.order.u32(rest).unwrap_or_default();
+                rest = after;
+                f32::from_bits(number)
             };
             let mut vector = || [next(), next(), next()];
             FrameBody {
@@ -285,11 +288,7 @@ pub fn write_frame(
 ) {
     let len_of = |component: &Component| HEADER_LEN + 8 + bodies.len() * component.body_len();
     let components_len: usize = components.iter().map(len_of).sum();
-    let (high, low) = ((stamp_us >> 32) as u32, stamp_us as u32);
-    let (first, second) = match order {
-        ByteOrder::Little => (low, high),
-        ByteOrder::Big => (high, low),
-    };
+    let [first, second] = order.halves([stamp_us as u32, (stamp_us >> 32) as u32]);
     let mut numbers = |numbers: &[u32]| numbers.iter().for_each(|value| put(&order.put(*value)));
     numbers(&[
         (HEADER_LEN + 16 + components_len) as u32,

@@ -92,9 +92,8 @@ impl Session {
     /// What is due to be sent while frames arrive.
     pub(super) fn poll_streaming(&mut self, now_ns: u64) -> Option<Transmit> {
         let timing = self.common.config.timing;
-        if let Some(due_ns) = self.echo_due_ns()
-            && now_ns >= due_ns
-        {
+        let is_due = |due_ns| now_ns >= due_ns;
+        if self.echo_due_ns().is_some_and(is_due) {
             let exchanges = self.clock.echo.as_ref().map_or(0, EchoClock::len);
             let is_quick = exchanges < QUICK_ECHOES;
             let most_ns = if is_quick { QUICK_ECHO_NS } else { u64::MAX };
@@ -109,9 +108,7 @@ impl Session {
             self.schedule.models_requested(now_ns, poll_ns, are_current);
             return self.transmit(&ClientMessage::RequestModelDefinitions);
         }
-        if let Some(due_ns) = self.keep_alive_due_ns()
-            && now_ns >= due_ns
-        {
+        if self.keep_alive_due_ns().is_some_and(is_due) {
             self.schedule.keep_alive_ns = now_ns.saturating_add(timing.keep_alive_ns);
             return self.transmit(&ClientMessage::KeepAlive);
         }

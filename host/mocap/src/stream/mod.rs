@@ -223,10 +223,8 @@ impl Link {
             let lost = ahead.filter(|ahead| (1..RESTARTED).contains(ahead));
             self.common.counters.lost += u64::from(lost.unwrap_or(1).unsigned_abs() - 1);
         }
-        *last = LastFrame {
-            newest: Some((stamp_us, number_now)),
-            older: 0,
-        };
+        last.newest = Some((stamp_us, number_now));
+        last.older = 0;
         true
     }
 

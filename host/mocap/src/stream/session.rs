@@ -217,11 +217,8 @@ impl<D: Dialogue> PoseSource for StreamSession<D> {
             Phase::Closing => return Some(0),
             _ => {}
         }
-        let wake_ns = if link.is_wanted {
-            self.silence_due_ns()
-        } else {
-            link.retry_ns
-        };
+        let (silence_ns, retry_ns) = (self.silence_due_ns(), link.retry_ns);
+        let wake_ns = if link.is_wanted { silence_ns } else { retry_ns };
         let says_ns = link.local.map(|_| self.dialogue.due_ns());
         let (stale_ns, datagrams_ns) = (link.common.stale_due_ns(), self.datagrams_due_ns());
         let due_ns = [Some(wake_ns), says_ns, stale_ns, datagrams_ns];

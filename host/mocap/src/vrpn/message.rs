@@ -93,14 +93,8 @@ impl<'a> Message<'a> {
         let seconds = (self.stamp_us / 1_000_000) as u32;
         let microseconds = (self.stamp_us % 1_000_000) as u32;
         let length = (HEADER_LEN + self.body.len()) as u32;
-        for number in [
-            length,
-            seconds,
-            microseconds,
-            self.sender.cast_unsigned(),
-            self.kind.cast_unsigned(),
-            sequence,
-        ] {
+        let (sender, kind) = (self.sender.cast_unsigned(), self.kind.cast_unsigned());
+        for number in [length, seconds, microseconds, sender, kind, sequence] {
             put(&number.to_be_bytes());
         }
         put(self.body);
@@ -122,11 +116,8 @@ impl<'a> Message<'a> {
         if numbers.len() != 56 {
             return None;
         }
-        let mut values = numbers
-            .as_chunks()
-            .0
-            .iter()
-            .map(|bytes| f64::from_be_bytes(*bytes));
+        let (values, _) = numbers.as_chunks();
+        let mut values = values.iter().map(|bytes| f64::from_be_bytes(*bytes));
         let mut next = || values.next();
         Some(Pose {
             sensor: sensor.cast_signed(),
