@@ -186,8 +186,10 @@ mod tests {
     const BYTE: u64 = 10 * BIT;
 
     fn uart() -> Uart {
-        let mut uart = Uart::default();
-        uart.divider = [16, 0];
+        let mut uart = Uart {
+            divider: [16, 0],
+            ..Uart::default()
+        };
         uart.set_control(0, U2X);
         uart.set_control(1, RXEN | TXEN);
         uart
