@@ -1,6 +1,6 @@
 //! What a person does to a simulated car, as lines of text.
 
-use core::str::FromStr;
+use core::{fmt, str::FromStr};
 
 use crate::{HandMotion, LossKind, StartPose, World};
 
@@ -127,29 +127,75 @@ impl HandCommand {
     }
 }
 
-/// What a person sees of the car now, as `key value` pairs on one line. Nothing of it is misread.
+/// What a person sees of the car. Nothing of it is misread.
 ///
-/// Angles are in degrees, of the wheels positive to the left; `buzzes` is the servo against a stop,
-/// `esc` whether the ESC has its supply; `x_m` and `y_m` are the centre of mass; `held` is in hands
-/// or on a stand, and `wheels_up` whether the wheels turn freely.
-pub fn seen(world: &World) -> String {
-    let (truth, car) = (world.truth(), &world.car);
-    let yes = |is: bool| if is { "yes" } else { "no" };
-    format!(
-        "steering_deg {:.2} wheels_m_s {:.3} driven {} buzzes {} esc {} battery_v {:.2} \
-         x_m {:.4} y_m {:.4} yaw_deg {:.2} held {} wheels_up {}",
-        truth.steering.to_degrees(),
-        truth.wheel_speed,
-        yes(car.is_driven()),
-        yes(car.servo_strains()),
-        if car.esc_has_power() { "on" } else { "off" },
-        truth.battery_v,
-        truth.x,
-        truth.y,
-        truth.yaw.to_degrees(),
-        yes(truth.held),
-        yes(car.wheels_are_up()),
-    )
+/// Its text is `key value` pairs on one line.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Seen {
+    /// Angle of the front wheels, in degrees; positive is to the left.
+    pub steering_deg: f64,
+    /// Speed of the driven wheels, in m/s.
+    pub wheels_m_s: f64,
+    /// Whether the motor is driven.
+    pub driven: bool,
+    /// Whether the servo buzzes against a stop.
+    pub buzzes: bool,
+    /// Whether the ESC has its supply.
+    pub esc: bool,
+    /// Voltage of the battery, in V.
+    pub battery_v: f64,
+    /// Position of the centre of mass along x, in m.
+    pub x_m: f64,
+    /// Position of the centre of mass along y, in m.
+    pub y_m: f64,
+    /// Yaw of the car, in degrees.
+    pub yaw_deg: f64,
+    /// Whether the car is in hands or on a stand.
+    pub held: bool,
+    /// Whether its wheels turn freely.
+    pub wheels_up: bool,
+}
+
+impl Seen {
+    /// What is seen now.
+    pub fn of(world: &World) -> Self {
+        let (truth, car) = (world.truth(), &world.car);
+        Self {
+            steering_deg: truth.steering.to_degrees(),
+            wheels_m_s: truth.wheel_speed,
+            driven: car.is_driven(),
+            buzzes: car.servo_strains(),
+            esc: car.esc_has_power(),
+            battery_v: truth.battery_v,
+            x_m: truth.x,
+            y_m: truth.y,
+            yaw_deg: truth.yaw.to_degrees(),
+            held: truth.held,
+            wheels_up: car.wheels_are_up(),
+        }
+    }
+}
+
+impl fmt::Display for Seen {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let yes = |is: bool| if is { "yes" } else { "no" };
+        write!(
+            f,
+            "steering_deg {:.2} wheels_m_s {:.3} driven {} buzzes {} esc {} battery_v {:.2} \
+             x_m {:.4} y_m {:.4} yaw_deg {:.2} held {} wheels_up {}",
+            self.steering_deg,
+            self.wheels_m_s,
+            yes(self.driven),
+            yes(self.buzzes),
+            if self.esc { "on" } else { "off" },
+            self.battery_v,
+            self.x_m,
+            self.y_m,
+            self.yaw_deg,
+            yes(self.held),
+            yes(self.wheels_up),
+        )
+    }
 }
 
 #[cfg(test)]
@@ -198,7 +244,7 @@ mod tests {
             line.parse::<HandCommand>().unwrap().apply(&mut world);
         }
         world.advance_to(1_100_000);
-        let text = seen(&world);
+        let text = Seen::of(&world).to_string();
         assert!(
             text.contains("esc off") && text.contains("battery_v 0.00"),
             "{text}"

@@ -63,7 +63,7 @@ pub use board::ImageSize;
 pub use board::{
     BoardKind, BoardParameters, Installation, ReceivedMessage, SimulatedBoard, UnoError,
 };
-pub use by_hand::{HAND_COMMANDS, HandCommand, UnknownHandCommand, seen};
+pub use by_hand::{HAND_COMMANDS, HandCommand, Seen, UnknownHandCommand};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
     DecoyMotion, LossKind, ServerKind, Sight, TICKS_PER_SECOND,

@@ -5,8 +5,8 @@ use std::{convert::Infallible, io, path::Path, process::ExitCode, time::Duration
 
 use clap::Parser as _;
 use singletrack_sim::{
-    Arguments, HandCommand, RealTimeConfig, RealTimeError, RealTimeSimulator, ServerKind,
-    SimulationConfig, seen,
+    Arguments, HandCommand, RealTimeConfig, RealTimeError, RealTimeSimulator, Seen, ServerKind,
+    SimulationConfig,
 };
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
@@ -155,7 +155,7 @@ async fn attend(simulator: &RealTimeSimulator, mut stream: UnixStream) -> io::Re
                     .map_err(gone)?;
                 loop {
                     let (busy, text) = simulator
-                        .with_world(|world| (world.car.is_in_motion_by_hand(), seen(world)))
+                        .with_world(|world| (world.car.is_in_motion_by_hand(), Seen::of(world)))
                         .map_err(gone)?;
                     if !busy {
                         break format!("ok {text}\n");

@@ -22,19 +22,11 @@ pub(crate) struct QtmServer {
 }
 
 /// What is known of a client.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct QtmClient {
-    minor: u32,
+    /// The version's number after the point; without a request for a version it is one.
+    minor: Option<u32>,
     stream: Option<Streamed>,
-}
-
-impl Default for QtmClient {
-    fn default() -> Self {
-        Self {
-            minor: 1,
-            stream: None,
-        }
-    }
 }
 
 /// What is streamed to a client.
@@ -73,7 +65,7 @@ impl QtmServer {
                 let wanted = words.next().and_then(|version| version.strip_prefix("1."));
                 match wanted.and_then(|minor| minor.parse().ok()) {
                     Some(minor) if (8..=NEWEST_MINOR).contains(&minor) => {
-                        client.state.minor = minor;
+                        client.state.minor = Some(minor);
                         ok(&format!("Version set to 1.{minor}"))
                     }
                     _ => refused("Version NOT supported"),
@@ -88,7 +80,7 @@ impl QtmServer {
             Some("getstate") => self.packet(Kind::Event, &[1]),
             Some("getparameters") => {
                 let with_bodies = words.any(|word| matches!(word, "6d" | "all"));
-                let xml = parameters(client.state.minor, cameras, with_bodies);
+                let xml = parameters(client.state.minor.unwrap_or(1), cameras, with_bodies);
                 self.text(Kind::Xml, &xml)
             }
             Some("streamframes") => {
@@ -100,9 +92,8 @@ impl QtmServer {
                 let mut words = rest.iter();
                 let to = words.find_map(|word| word.strip_prefix("udp:"));
                 client.datagrams_to = to.and_then(|to| datagrams_to(client, to));
-                let divisor = rest
-                    .iter()
-                    .find_map(|word| word.strip_prefix("frequencydivisor:")?.parse().ok());
+                let divisor = |word: &&str| word.strip_prefix("frequencydivisor:")?.parse().ok();
+                let divisor = rest.iter().find_map(divisor);
                 let mut components = Vec::new();
                 for component in rest.iter().filter_map(|word| component(word)) {
                     if !components.contains(&component) {

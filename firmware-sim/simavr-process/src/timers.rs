@@ -218,7 +218,6 @@ impl Timer1 {
                     }
                 }
             }
-            2 => return,
             5 | 7 | 9 | 11 => {
                 self.temp = value;
                 return;

@@ -154,9 +154,7 @@ impl Native {
                     }
                     fits
                 };
-                let Self {
-                    inputs, received, ..
-                } = self;
+                let (inputs, received) = (&self.inputs, &self.received);
                 self.board.poll(board_time_us, inputs, received, &mut send);
             }
         }

@@ -292,14 +292,12 @@ impl Imu {
         };
         let whole = reading;
         if let (true, Some(last)) = (p.torn > 0.0 && self.torn_random.happens(p.torn), self.last) {
-            tear(
+            let (rate, acceleration) = (
                 &mut reading.angular_velocity_mrad_s,
-                last.angular_velocity_mrad_s,
-            );
-            tear(
                 &mut reading.linear_acceleration_mm_s2,
-                last.linear_acceleration_mm_s2,
             );
+            tear(rate, last.angular_velocity_mrad_s);
+            tear(acceleration, last.linear_acceleration_mm_s2);
         }
         self.last = Some(whole);
         reading

@@ -490,6 +490,9 @@ impl Car {
             let speed = course_speed(s.wheel_speed, s.track.sideslip);
             self.model.derivative(&s.track, speed, s.steering)
         };
+        let stands = self.happened.servo_is_stuck || self.happened.supply_dips;
+        let target = self.servo_target + self.happened.slip;
+        let rate = self.parameters.servo.rate(s.steering, target);
         CarState {
             track: SingleTrackState {
                 x: d.x,
@@ -498,12 +501,7 @@ impl Car {
                 yaw_rate: d.yaw_rate,
                 sideslip: d.sideslip,
             },
-            steering: if self.happened.servo_is_stuck || self.happened.supply_dips {
-                0.0
-            } else {
-                let target = self.servo_target + self.happened.slip;
-                self.parameters.servo.rate(s.steering, target)
-            },
+            steering: if stands { 0.0 } else { rate },
             wheel_speed: self.wheel_acceleration(s, inputs),
         }
     }

@@ -274,10 +274,8 @@ impl BoardClock {
         }
         let sum: i128 = self.points.iter().map(|p| i128::from(p.board_ns)).sum();
         let mean_ns = sum / i128::try_from(self.points.len()).ok()?;
-        hull.windows(2).find_map(|edge| match edge {
-            [a, b] if i128::from(b.board_ns) >= mean_ns => Some((*a, *b)),
-            _ => None,
-        })
+        let mut edges = hull.array_windows().map(|[a, b]| (*a, *b));
+        edges.find(|(_, b)| i128::from(b.board_ns) >= mean_ns)
     }
 }
 

@@ -13,9 +13,7 @@ use crate::{
         self, DriveCommand, DriveError, JogCommand, Latency, NewestTelemetry, NotReady, RoundTrip,
     },
     event::{BoardQuality, Counters, Event, LineQuality, LossCause, QualityWindow, State},
-    handshake::{
-        Greeting, HELLO_INTERVAL_NS, Nonces, Pending, Phase, SLOW_RETRY_NS, Stop, StopKind,
-    },
+    handshake::{Greeting, HELLO_INTERVAL_NS, Nonces, Pending, Phase, SLOW_RETRY_NS, Stop},
 };
 
 /// The board is lost when no good frame has arrived from it for this long, in
@@ -158,13 +156,13 @@ impl Session {
     ///
     /// It does not replace an emergency stop that is not confirmed yet.
     pub fn disarm(&mut self, now_ns: u64) -> Sequence {
-        self.stop(now_ns, StopKind::Disarm)
+        self.stop(now_ns, Request::Disarm)
     }
 
     /// Asks the board to stop until it is reset; otherwise as
     /// [`disarm`](Self::disarm), which it replaces.
     pub fn emergency_stop(&mut self, now_ns: u64) -> Sequence {
-        self.stop(now_ns, StopKind::EmergencyStop)
+        self.stop(now_ns, Request::EmergencyStop)
     }
 
     /// Gives the board another configuration: now if it is connected, otherwise once
@@ -319,10 +317,10 @@ impl Session {
 
     // Shared by the handlers.
 
-    fn stop(&mut self, now_ns: u64, kind: StopKind) -> Sequence {
+    fn stop(&mut self, now_ns: u64, kind: Request) -> Sequence {
         self.arm = None;
         if let Some(stop) = self.stop
-            && (stop.kind == kind || stop.kind == StopKind::EmergencyStop)
+            && (stop.kind == kind || stop.kind == Request::EmergencyStop)
         {
             return stop.sequence;
         }

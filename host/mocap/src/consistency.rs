@@ -129,7 +129,7 @@ pub(crate) struct Consistency {
     ns_per_tick: Option<f64>,
     recent: u32,
     since_ns: u64,
-    distrusted_until_ns: Option<u64>,
+    distrusted_until_ns: u64,
 }
 
 impl Consistency {
@@ -186,13 +186,12 @@ impl Consistency {
             return false;
         }
         let began = !self.is_distrusted(now_ns);
-        self.distrusted_until_ns = Some(now_ns.saturating_add(WINDOW_NS));
+        self.distrusted_until_ns = now_ns.saturating_add(WINDOW_NS);
         began
     }
 
-    pub(crate) fn is_distrusted(&self, now_ns: u64) -> bool {
-        self.distrusted_until_ns
-            .is_some_and(|until_ns| now_ns < until_ns)
+    pub(crate) const fn is_distrusted(&self, now_ns: u64) -> bool {
+        now_ns < self.distrusted_until_ns
     }
 }
 
