@@ -1,21 +1,15 @@
 //! `cargo deb`: Debian packages for this machine and for ARM computers.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    process::{Command, Stdio},
-};
+use std::path::{Path, PathBuf};
 
 use crate::{
     notes::{self, VERSION},
     options,
-    prerequisites::Part,
-    process::{At as _, Result, check, command, failure, require, silent, text},
-    programs::{INSTALLED, NODE, Packages, program_options, release_build},
-    target,
-    toolchain::{AARCH64, ARMHF, Target},
+    prerequisites::{AARCH64, ARMHF, Target, release_build},
+    process::{Result, command, failure, require, silent, text},
+    programs::{INSTALLED, NODE, Packages},
     uno,
-    workspace::{root, script},
+    workspace::{emptied, script, target, write},
 };
 
 pub(crate) const USAGE: &str = "\
@@ -28,14 +22,6 @@ programs, and print their paths in target/debian/. Installs missing Debian packa
                           another architecture run in an emulator
   -h, --help              print this help
 ";
-
-/// For a package that is to be installed; and for one that is only checked: a third larger, in an
-/// eighth of the time.
-const SMALL: &str = "6";
-const FAST: &str = "1";
-
-/// Debian's build profile that leaves out the package of the node.
-const WITHOUT_NODE: &str = "pkg.singletrack.noros";
 
 /// What a package is made for.
 struct Architecture {
@@ -65,58 +51,37 @@ impl Architecture {
     /// Builds the programs and returns their folder. The node is built apart: it must not change the
     /// features of the others' libraries.
     fn build(&self) -> Result<PathBuf> {
-        let mut folder = PathBuf::new();
-        for programs in [&INSTALLED[..], &[NODE]] {
-            let mut cargo;
-            (cargo, folder) = match self.foreign {
-                None => release_build()?,
-                Some(foreign) => foreign.build("release")?,
-            };
-            check(cargo.args(program_options(programs)).stdout(Stdio::null()))?;
-        }
-        Ok(folder)
+        let options = |(program, package)| ["--package", package, "--bin", program];
+        release_build(self.foreign, &INSTALLED.map(options).concat())?;
+        release_build(self.foreign, &options(NODE))
     }
 
     /// Makes the packages in `target/debian`, which holds nothing but packages, and checks them;
     /// returns their paths. That of the node is left out of a check.
     fn pack(&self, programs: &Path, image: Option<&Path>, has_node: bool) -> Result<Vec<PathBuf>> {
-        let folder = target::folder()?;
-        let packages = folder.join("debian");
-        let stage = folder.join("debian-stage").join(&self.name);
-        let date = notes::newest()?.date;
-        let mut lay_out = script("xtask/src/debian.sh");
-        lay_out.args([&stage, &packages]);
-        silent(lay_out.args([&self.name, VERSION, date.as_deref().unwrap_or("now")]))?;
-        let mut contents = vec![("singletrack", &INSTALLED[..])];
-        if has_node {
-            contents.push((NODE.0, &[NODE]));
-        }
-        let triples = self.foreign.map(|foreign| foreign.triple);
-        for (package, programs) in &contents {
-            let licences = notes::licences(programs, triples.as_slice())?;
-            let file = stage.join(package).join("libraries.txt");
-            fs::write(&file, licences).at(&file)?;
-        }
-        let profiles = if has_node { "" } else { WITHOUT_NODE };
-        let emulator = self.foreign.map(|foreign| foreign.emulator());
-        let mut pack = Command::new("dpkg-architecture");
-        silent(
-            pack.current_dir(&stage)
-                .env("DEB_RULES_REQUIRES_ROOT", "no")
-                // There is nothing to test.
-                .env("DEB_BUILD_OPTIONS", "nocheck")
-                .env("DEB_BUILD_PROFILES", profiles)
-                .env("COMPRESSION", if has_node { SMALL } else { FAST })
-                .env("SOURCE", root())
-                .env("PROGRAMS", programs)
-                .env("EMULATOR", emulator.unwrap_or_default())
-                .env("IMAGE", image.unwrap_or(Path::new("")))
-                .args(["--host-arch", &self.name, "--force"])
-                .args(["--command", "debian/rules", "binary", "inspect"]),
-        )?;
-        let file = |(package, _): &(&str, _)| {
-            packages.join(format!("{package}_{VERSION}_{}.deb", self.name))
+        let (name, packages) = (&self.name, target()?.join("debian"));
+        let stage = emptied(&format!("debian-stage/{name}"))?;
+        let all = [("singletrack", &INSTALLED[..]), (NODE.0, &[NODE])];
+        // The build profile leaves out the package of the node.
+        let (contents, profile) = match has_node {
+            true => (&all[..], ""),
+            false => (&all[..1], "pkg.singletrack.noros"),
         };
+        let triple = self.foreign.map(|foreign| foreign.triple);
+        for (package, programs) in contents {
+            let licences = notes::licences(programs, triple.as_slice())?;
+            write(&stage.join(package).join("libraries.txt"), licences)?;
+        }
+        let date = notes::newest()?.date.unwrap_or("now".to_owned());
+        let emulator = self.foreign.map(|foreign| foreign.emulator());
+        let mut pack = script("xtask/src/debian.sh");
+        pack.args([&stage, &packages]);
+        pack.args([name, VERSION, &date, profile]);
+        pack.env("PROGRAMS", programs);
+        pack.env("EMULATOR", emulator.unwrap_or_default());
+        silent(pack.env("IMAGE", image.unwrap_or(Path::new(""))))?;
+        let file =
+            |(package, _): &(&str, _)| packages.join(format!("{package}_{VERSION}_{name}.deb"));
         Ok(contents.iter().map(file).collect())
     }
 }
@@ -152,7 +117,7 @@ fn parse(arguments: &[String]) -> Result<Option<&str>> {
 /// Packs the tested programs for this machine, and checks the package. Without the Arduino's part, the
 /// package has no image.
 pub(crate) fn verify(packages: &Packages) -> Result {
-    let image = packages.has(Part::Uno).then(|| packages.image());
+    let image = packages.has("uno").then(|| packages.image());
     let image = image.transpose()?.map(|folder| folder.join(uno::IMAGE));
     Architecture::find(None)?
         .pack(&packages.path("")?, image.as_deref(), false)
@@ -161,6 +126,8 @@ pub(crate) fn verify(packages: &Packages) -> Result {
 
 #[cfg(test)]
 mod tests {
+    use crate::workspace::root;
+
     use super::*;
 
     fn parsed(arguments: &[String]) -> Option<&str> {

@@ -5,37 +5,28 @@
 //! It has no dependencies, so that it is built in seconds.
 
 mod deb;
-mod gates;
 mod notes;
 mod odroid;
-mod once;
 mod prerequisites;
 mod process;
 mod programs;
 mod python;
 mod release;
 mod step;
-mod target;
-mod toolchain;
 mod uno;
 mod verify;
 mod web;
-#[path = "../../host/control/src/words.rs"]
-mod words;
 mod workspace;
 
 use std::process::ExitCode;
 
-use process::{Failure, NOT_VALID, Result};
+use process::Result;
 use programs::become_program;
 
 const COMMANDS: &str =
     "cargo deb | demo | explore | faults | odroid | onboard | release | uno | verify | web";
 
 fn main() -> ExitCode {
-    if let Some(code) = once::called(std::env::args()) {
-        return code;
-    }
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let Some((command, arguments)) = arguments.split_first() else {
         eprintln!("usage: {COMMANDS}, each with --help");
@@ -60,10 +51,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             eprintln!("\n{command}: {failure}");
-            match failure {
-                Failure::Failed(_) => ExitCode::FAILURE,
-                Failure::NotValid(_) => NOT_VALID.into(),
-            }
+            failure.status.into()
         }
     }
 }
@@ -84,15 +72,14 @@ pub(crate) fn options<'a>(
     valued: &[&str],
 ) -> Vec<(&'a str, Option<&'a str>)> {
     let mut rest = arguments.iter().map(String::as_str);
-    let mut options = Vec::new();
-    while let Some(argument) = rest.next() {
-        options.push(match argument.split_once('=') {
-            Some((option, value)) if valued.contains(&option) => (option, Some(value)),
-            _ if valued.contains(&argument) => (argument, rest.next()),
-            _ => (argument, None),
-        });
-    }
-    options
+    let next = || match rest.next()? {
+        option if valued.contains(&option) => Some((option, rest.next())),
+        argument => match argument.split_once('=') {
+            Some((option, value)) if valued.contains(&option) => Some((option, Some(value))),
+            _ => Some((argument, None)),
+        },
+    };
+    std::iter::from_fn(next).collect()
 }
 
 #[cfg(test)]

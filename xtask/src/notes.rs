@@ -8,10 +8,9 @@ use std::{
 };
 
 use crate::{
-    process::{At as _, Result, failure, require, text},
-    target,
-    toolchain::{AARCH64, ARMHF},
-    workspace::{cargo, root},
+    prerequisites::{AARCH64, ARMHF},
+    process::{Result, at, failure, require, text},
+    workspace::{cargo, paths, root},
 };
 
 /// The version of the workspace.
@@ -43,7 +42,7 @@ impl Section {
 /// The newest section, in a changelog that agrees with the version of the workspace.
 pub(crate) fn newest() -> Result<Section> {
     let path = root().join("CHANGELOG.md");
-    parse(&fs::read_to_string(&path).at(&path)?, VERSION)
+    parse(&fs::read_to_string(&path).map_err(at(&path))?, VERSION)
 }
 
 fn parse(text: &str, version: &str) -> Result<Section> {
@@ -83,23 +82,20 @@ pub(crate) const TARGETS: [&str; 3] = ["x86_64-unknown-linux-gnu", AARCH64.tripl
 /// Lists the libraries of programs, or of other packages of the workspace, and adds their notices; for
 /// these targets, or for this machine.
 pub(crate) fn licences(programs: &[(&str, &str)], triples: &[&str]) -> Result<String> {
-    let packages = programs
-        .iter()
-        .flat_map(|(_, package)| ["--package", package]);
+    let packages = programs.iter().flat_map(|one| ["--package", one.1]);
     let targets = triples.iter().flat_map(|triple| ["--target", triple]);
     let mut tree = cargo("tree --locked --edges normal --prefix none --format {p}|{l}");
     let tree = text(tree.args(packages).args(targets))?;
     let libraries = libraries(&tree);
     let metadata = text(&mut cargo("metadata --locked --format-version 1"))?;
-    let manifests = target::paths(&metadata, "manifest_path");
+    let manifests = paths(&metadata, "manifest_path");
     let mut of_notice: BTreeMap<String, Vec<&str>> = BTreeMap::new();
     for library in libraries.keys() {
-        let manifest = format!("{}/Cargo.toml", library.replace(' ', "-"));
-        let manifest = manifests.iter().find(|path| path.ends_with(&manifest));
-        let manifest =
-            manifest.ok_or_else(|| failure!("`cargo metadata` does not know {library}"))?;
-        let folder = manifest.with_file_name("");
-        for notice in read(&folder).at(&folder)? {
+        let name = format!("{}/Cargo.toml", library.replace(' ', "-"));
+        let manifest = manifests.iter().find(|path| path.ends_with(&name));
+        let unknown = || failure!("`cargo metadata` does not know {library}");
+        let folder = manifest.ok_or_else(unknown)?.with_file_name("");
+        for notice in read(&folder).map_err(at(&folder))? {
             of_notice.entry(notice).or_default().push(library);
         }
     }

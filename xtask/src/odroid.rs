@@ -2,17 +2,15 @@
 //! Its programs, and those of a release, simulate the same bits as the tested ones.
 
 use std::{
-    path::{Path, PathBuf},
+    path::Path,
     process::{Command, Stdio},
 };
 
 use crate::{
-    prerequisites,
+    prerequisites::{self, ARMHF, release_build},
     process::{Result, check, command, failure, output, require},
-    programs::{Packages, release_build},
-    target,
-    toolchain::ARMHF,
-    workspace::{cargo, configure, root},
+    programs::Packages,
+    workspace::{cargo, configure, put, root, target},
 };
 
 pub(crate) const USAGE: &str = "\
@@ -21,9 +19,6 @@ usage: cargo odroid
 Build singletrackd and singletrack for the Odroid and print their paths.
 Installs missing Debian packages.
 ";
-
-/// Cargo's options for the programs of the car.
-const INSTALLED: &str = "--package singletrackd --package singletrack";
 
 /// Cargo's options for what is checked of them: the libraries of the daemon, of the procedures and of the
 /// tool as `cargo demo` builds it, and a trajectory. `cargo release` builds and links all of them.
@@ -53,8 +48,10 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     let has_none = arguments.is_empty();
     require!(has_none, "unexpected arguments {arguments:?}\n\n{USAGE}");
     prerequisites::ensure(&["armhf"])?;
-    let folder = build(ARMHF.build("release")?, INSTALLED)?;
-    for program in ["singletrackd", "singletrack"] {
+    let programs = ["singletrackd", "singletrack"];
+    let options = programs.map(|name| ["--package", name]).concat();
+    let folder = release_build(Some(ARMHF), &options)?;
+    for program in programs {
         println!("{}", folder.join(program).display());
     }
     Ok(())
@@ -66,40 +63,41 @@ pub(crate) fn verify(packages: &Packages) -> Result {
     // The profile is that of the browser's module, which has the same helpers of the compiler.
     let (mut cargo, folder) = ARMHF.build("web")?;
     quickly(&mut cargo, "web", &OTHERS);
-    configure(&mut cargo, "web.panic=\"unwind\"");
-    configure(&mut cargo, "web.opt-level=0");
+    configure(&mut cargo, "web", &["panic=\"unwind\"", "opt-level=0"]);
     // This combination of features is linted only here.
     cargo.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]);
-    compare_emulated(packages, (cargo, folder), CHECKED)
+    check(cargo.args(CHECKED.split(' ')).stdout(Stdio::null()))?;
+    compare_emulated(packages, &folder)
 }
 
 /// Lets cargo optimise what computes, as in a release, and not some of [`OTHERS`].
 pub(crate) fn quickly(cargo: &mut Command, profile: &str, plain: &[&str]) {
-    let package = format!("{profile}.package");
     for name in COMPUTING {
-        configure(cargo, &format!("{package}.singletrack-{name}.opt-level=3"));
+        let profile = format!("{profile}.package.singletrack-{name}");
+        configure(cargo, &profile, &["opt-level=3", "debug-assertions=false"]);
     }
     for name in plain {
-        configure(cargo, &format!("{package}.singletrack-{name}.opt-level=0"));
+        let profile = format!("{profile}.package.singletrack-{name}");
+        configure(cargo, &profile, &["opt-level=0"]);
     }
     // In C, which compiles in less than half of the time at this level.
-    configure(cargo, &format!("{package}.zstd-sys.opt-level=1"));
+    configure(cargo, profile, &["package.zstd-sys.opt-level=1"]);
 }
 
 /// Checks that a release as it is installed simulates the same bits here and there as the tests here:
 /// records of the car are replayed here.
 pub(crate) fn compare_installed(packages: &Packages) -> Result {
-    let optimised = build(release_build()?, TRAJECTORY)?.join("trajectory");
-    compare_native(packages, &optimised)?;
-    compare_emulated(packages, ARMHF.build("release")?, TRAJECTORY)
+    let options: Vec<&str> = TRAJECTORY.split(' ').collect();
+    compare_native(packages, &release_build(None, &options)?.join("trajectory"))?;
+    compare_emulated(packages, &release_build(Some(ARMHF), &options)?)
 }
 
-/// Compares the bits of a build for the Odroid with such options, whose folder is given.
-fn compare_emulated(packages: &Packages, cargo: (Command, PathBuf), options: &str) -> Result {
-    let emulated = build(cargo, options)?.join("trajectory");
-    compare(packages, &SCENARIOS, "this machine and ARMv7", |scenario| {
-        let mut run = command(&ARMHF.emulator());
-        output(run.arg(&emulated).arg(scenario).current_dir(root()))
+/// Compares the bits of a build for the Odroid in this folder.
+fn compare_emulated(packages: &Packages, folder: &Path) -> Result {
+    compare(packages, &SCENARIOS, "this machine and ARMv7", || {
+        let mut emulated = command(&ARMHF.emulator());
+        emulated.arg(folder.join("trajectory"));
+        emulated
     })
 }
 
@@ -109,30 +107,18 @@ pub(crate) fn compare_optimised(packages: &Packages) -> Result {
     // The libraries are those of the tests, with the features that some test asks for.
     let mut build = cargo("build --quiet --bin trajectory --test book");
     quickly(&mut build, "dev", &OTHERS);
-    for name in COMPUTING {
-        let package = format!("dev.package.singletrack-{name}");
-        configure(&mut build, &format!("{package}.debug-assertions=false"));
-    }
     check(build.args(packages.options()))?;
-    let target = target::folder()?;
+    let target = target()?;
     // The tested one takes its place there.
     let optimised = target.join("optimised/trajectory");
-    target::put(&target.join("debug/trajectory"), &optimised)?;
+    put(&target.join("debug/trajectory"), &optimised)?;
     compare_native(packages, &optimised)
 }
 
 /// Compares the bits of an optimised build for this machine.
 fn compare_native(packages: &Packages, optimised: &Path) -> Result {
     let builds = "the tested build and the optimised build";
-    compare(packages, &SCENARIOS, builds, |scenario| {
-        output(Command::new(optimised).arg(scenario).current_dir(root()))
-    })
-}
-
-/// Builds programs, and returns their folder, which is given.
-fn build((mut cargo, folder): (Command, PathBuf), options: &str) -> Result<PathBuf> {
-    check(cargo.args(options.split_whitespace()).stdout(Stdio::null()))?;
-    Ok(folder)
+    compare(packages, &SCENARIOS, builds, || Command::new(optimised))
 }
 
 /// Checks that another build simulates the same bits as that of the tests; otherwise, records of the
@@ -141,13 +127,13 @@ pub(crate) fn compare(
     packages: &Packages,
     scenarios: &[&str],
     builds: &str,
-    other: impl Fn(&str) -> Result<Vec<u8>>,
+    other: impl Fn() -> Command,
 ) -> Result {
     let program = packages.path("trajectory")?;
     for scenario in scenarios {
-        let mut tested = Command::new(&program);
-        let tested = output(tested.arg(scenario).current_dir(root()))?;
-        if let Some(place) = first_difference(&tested, &other(scenario)?) {
+        let run = |mut program: Command| output(program.arg(scenario).current_dir(root()));
+        let tested = run(Command::new(&program))?;
+        if let Some(place) = first_difference(&tested, &run(other())?) {
             return Err(failure!("{scenario}: {builds} differ first in {place}"));
         }
         require!(!tested.is_empty(), "{scenario}: nothing was simulated");

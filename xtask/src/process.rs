@@ -1,37 +1,36 @@
 //! Running programs.
 
 use std::{
+    ffi::OsStr,
     fmt, io,
     path::Path,
     process::{Child, Command, Stdio},
 };
 
-/// Failure of a command of the project.
+/// Failure of a command of the project: a check failed or could not be made, or it was [`NOT_VALID`].
 #[derive(Debug)]
-pub(crate) enum Failure {
-    /// A check failed, or could not be made.
-    Failed(String),
-    /// Checks in real time were no checks, because the machine was busy.
-    NotValid(String),
+pub(crate) struct Failure {
+    pub(crate) text: String,
+    /// The exit status.
+    pub(crate) status: u8,
 }
 
-/// The exit status of [`Failure::NotValid`], by which programs that check in real time report it, too:
-/// `EX_TEMPFAIL` of `sysexits.h`.
+/// The exit status of checks in real time that were no checks, because the machine was busy, by which
+/// programs that check in real time report it, too: `EX_TEMPFAIL` of `sysexits.h`.
 pub(crate) const NOT_VALID: u8 = 75;
 
 pub(crate) type Result<T = (), E = Failure> = std::result::Result<T, E>;
 
 impl fmt::Display for Failure {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (Self::Failed(text) | Self::NotValid(text)) = self;
-        formatter.write_str(text)
+        formatter.write_str(&self.text)
     }
 }
 
 /// A [`Failure`] with a message, as of `format!`.
 macro_rules! failure {
     ($($message:tt)*) => {
-        $crate::process::Failure::Failed(format!($($message)*))
+        $crate::process::Failure { text: format!($($message)*), status: 1 }
     };
 }
 pub(crate) use failure;
@@ -47,21 +46,20 @@ macro_rules! require {
 pub(crate) use require;
 
 /// Names the file of an error of the operating system.
-pub(crate) trait At<T> {
-    fn at(self, path: &Path) -> Result<T>;
-}
-
-impl<T> At<T> for io::Result<T> {
-    fn at(self, path: &Path) -> Result<T> {
-        self.map_err(|error| failure!("{}: {error}", path.display()))
-    }
+pub(crate) fn at(path: &Path) -> impl Fn(io::Error) -> Failure {
+    move |error| failure!("{}: {error}", path.display())
 }
 
 /// A command without blanks in its words; further arguments may follow.
 pub(crate) fn command(line: &str) -> Command {
-    let mut words = line.split(' ');
-    let mut command = Command::new(words.next().unwrap_or_default());
-    command.args(words);
+    let (name, arguments) = line.split_once(' ').unwrap_or((line, ""));
+    program(name, arguments)
+}
+
+/// A program with arguments without blanks; further ones may follow.
+pub(crate) fn program(path: impl AsRef<OsStr>, arguments: &str) -> Command {
+    let mut command = Command::new(path);
+    command.args(arguments.split_whitespace());
     command
 }
 
@@ -100,10 +98,9 @@ fn run(command: &mut Command, is_shown: bool) -> Result<Vec<u8>> {
         let written = [b"\n", &output.stdout[..], &output.stderr].concat();
         text += &String::from_utf8_lossy(&written);
     }
-    Err(match output.status.code() {
-        Some(code) if code == i32::from(NOT_VALID) => Failure::NotValid(text),
-        _ => Failure::Failed(text),
-    })
+    let is_valid = output.status.code() != Some(NOT_VALID.into());
+    let status = if is_valid { 1 } else { NOT_VALID };
+    Err(Failure { text, status })
 }
 
 /// A command as text, without its environment.
@@ -133,8 +130,8 @@ mod tests {
     fn a_check_on_a_busy_machine_is_not_valid() {
         let end =
             |status: u8| check(Command::new("/bin/sh").args(["-c", &format!("exit {status}")]));
-        assert!(matches!(end(NOT_VALID), Err(Failure::NotValid(_))));
-        assert!(matches!(end(1), Err(Failure::Failed(_))));
+        assert_eq!(end(NOT_VALID).unwrap_err().status, NOT_VALID);
+        assert_eq!(end(2).unwrap_err().status, 1);
     }
 
     #[test]

@@ -12,24 +12,23 @@ use std::{
 };
 
 use crate::{
-    once, options,
-    prerequisites::Part,
-    process::{Result, check, failure},
-    target, uno,
-    workspace::{cargo, cargo_here, configure, root},
+    options,
+    process::{Result, check, failure, program},
+    uno,
+    workspace::{cargo, cargo_here, configure, lint_and_document, root, target},
 };
 
 /// Tests that run only when they are named.
 pub(crate) const NAMED_TESTS: [&str; 4] = ["hil", "book", "uno", "real_logs"];
 
 /// The packages that need more than Rust and a C compiler; they are no default members.
-const OF_PARTS: [(Part, &str); 6] = [
-    (Part::Uno, "singletrack-simavr-process"),
-    (Part::Python, "singletrack-python"),
-    (Part::Python, "singletrack-fmu"),
-    (Part::Ros, "singletrack-ros"),
-    (Part::Zenoh, "singletrack-zenoh"),
-    (Part::Web, "singletrack-web"),
+const OF_PARTS: [(&str, &str); 6] = [
+    ("uno", "singletrack-simavr-process"),
+    ("python", "singletrack-python"),
+    ("python", "singletrack-fmu"),
+    ("ros", "singletrack-ros"),
+    ("zenoh", "singletrack-zenoh"),
+    ("web", "singletrack-web"),
 ];
 
 /// The packages with programs that are installed, and those programs.
@@ -49,23 +48,20 @@ pub(crate) const NODE: (&str, &str) = ("singletrack-ros", "singletrack-ros");
 pub(crate) enum Packages {
     /// The default members, which need only Rust and a C compiler.
     Default,
-    /// All, but those of some parts.
-    AllWithout(Vec<Part>),
+    /// The default members, and those of some parts.
+    AllWith(Vec<&'static str>),
 }
 
 impl Packages {
     /// Whether the checks include a part.
-    pub(crate) fn has(&self, part: Part) -> bool {
-        match self {
-            Self::Default => false,
-            Self::AllWithout(parts) => !parts.contains(&part),
-        }
+    pub(crate) fn has(&self, part: &str) -> bool {
+        matches!(self, Self::AllWith(parts) if parts.contains(&part))
     }
 
     /// Cargo, with the options that name the packages. What it compiles is linted and documented, too.
     pub(crate) fn cargo(&self, command: &str) -> Result<Command> {
         let mut cargo = cargo(command);
-        once::wrap(&mut cargo, Path::new("clippy-driver"))?;
+        lint_and_document(&mut cargo, Path::new("clippy-driver"))?;
         cargo.args(self.options());
         Ok(cargo)
     }
@@ -75,7 +71,7 @@ impl Packages {
         if *self == Self::Default {
             return Vec::new();
         }
-        let left_out = OF_PARTS.into_iter().filter(|(part, _)| !self.has(*part));
+        let left_out = OF_PARTS.into_iter().filter(|(part, _)| !self.has(part));
         let left_out = left_out.flat_map(|(_, package)| ["--exclude", package]);
         ["--workspace"].into_iter().chain(left_out).collect()
     }
@@ -92,12 +88,10 @@ impl Packages {
         check(self.cargo("test")?.arg("--no-run").args(named))
     }
 
-    /// The tests, or those of one of [`NAMED_TESTS`].
-    pub(crate) fn tests(&self, named: Option<&str>) -> Result<Command> {
+    /// The tests with arguments without blanks, of which one of [`NAMED_TESTS`] may be named.
+    pub(crate) fn tests(&self, arguments: &str) -> Result<Command> {
         let mut tests = self.cargo("test")?;
-        if let Some(name) = named {
-            tests.args(["--test", name, "--"]);
-        }
+        tests.args(arguments.split_whitespace());
         Ok(tests)
     }
 
@@ -108,22 +102,18 @@ impl Packages {
 
     /// Builds targets, and a test, so that dependencies have the features that tests need; returns the
     /// path of one of them.
-    fn build(&self, targets: &str, name: &str) -> Result<PathBuf> {
+    pub(crate) fn build(&self, targets: &str, name: &str) -> Result<PathBuf> {
         let mut build = self.cargo("build")?;
         check(build.args(["--quiet", "--test", NAMED_TESTS[0], targets]))?;
-        Ok(target::folder()?.join("debug").join(name))
+        Ok(target()?.join("debug").join(name))
     }
 
-    /// A program, to be started in the workspace's root.
-    pub(crate) fn program(&self, name: &str) -> Result<Command> {
-        let mut command = Command::new(self.path(name)?);
+    /// A program with arguments without blanks, to be started in the workspace's root.
+    pub(crate) fn program(&self, line: &str) -> Result<Command> {
+        let (name, arguments) = line.split_once(' ').unwrap_or((line, ""));
+        let mut command = program(self.path(name)?, arguments);
         command.current_dir(root());
         Ok(command)
-    }
-
-    /// Builds all libraries and returns the path of one that other languages load.
-    pub(crate) fn library(&self, name: &str) -> Result<PathBuf> {
-        self.build("--lib", name)
     }
 
     /// The folder of this source's image, with its simulator of this build.
@@ -135,23 +125,11 @@ impl Packages {
     /// must not test an old image or one named by the environment.
     pub(crate) fn check_with_image(&self, command: &mut Command) -> Result {
         command.env_remove("SINGLETRACK_UNO");
-        if self.has(Part::Uno) {
+        if self.has("uno") {
             command.env("SINGLETRACK_UNO", self.image()?);
         }
         check(command)
     }
-}
-
-/// `cargo build` for this machine as for an installation, and the folder of the programs.
-pub(crate) fn release_build() -> Result<(Command, PathBuf)> {
-    let folder = target::folder()?.join("release");
-    Ok((cargo("build --release --locked"), folder))
-}
-
-/// Cargo's options that name programs and their packages.
-pub(crate) fn program_options<'a>(programs: &[(&'a str, &'a str)]) -> Vec<&'a str> {
-    let options = |(program, package)| ["--package", package, "--bin", program];
-    programs.iter().copied().flat_map(options).collect()
 }
 
 /// Builds the program of a package, and the Arduino's image if the arguments ask for it, and replaces
@@ -162,15 +140,13 @@ pub(crate) fn become_program(package: &str, options: &str, arguments: &[String])
     if needs_image(arguments) {
         cargo.env("SINGLETRACK_UNO", uno::ensure(0, &[])?);
     }
-    let is_first = !target::folder()?.join("debug").join(package).is_file();
+    let is_first = !target()?.join("debug").join(package).is_file();
     if is_first {
         eprintln!("Building {package}: the first build takes some minutes");
     }
-    cargo
-        .args(["run", "--package", package, "--bin", package])
-        .args(uno::quiet().filter(|_| !is_first))
-        .args(options.split_whitespace())
-        .args(arguments);
+    cargo.args(["run", "--package", package, "--bin", package]);
+    cargo.args(uno::quiet().filter(|_| !is_first));
+    cargo.args(options.split_whitespace()).args(arguments);
     Err(failure!("cargo does not start: {}", cargo.exec()))
 }
 
@@ -185,16 +161,13 @@ pub(crate) fn demo(arguments: &[String]) -> Result {
 /// Whether arguments ask for the Arduino's image: as the board, or by a schedule to replay, given as
 /// text or as a file. The program itself validates them.
 fn needs_image(arguments: &[String]) -> bool {
-    let of_schedule = |schedule: &str| {
-        let mut entries = schedule.split(['\n', ';']);
-        entries.any(|entry| entry.split_whitespace().eq(["board", "uno"]))
-    };
     let mut options = options(arguments, &["--board", "--replay"]).into_iter();
     options.any(|option| match option {
         ("--board", board) => board == Some("uno"),
         (schedule, None) | (_, Some(schedule)) => {
-            let file = fs::read_to_string(schedule);
-            of_schedule(schedule) || file.is_ok_and(|text| of_schedule(&text))
+            let text = fs::read_to_string(schedule).unwrap_or_else(|_| schedule.to_owned());
+            let mut entries = text.split(['\n', ';']);
+            entries.any(|entry| entry.split_whitespace().eq(["board", "uno"]))
         }
     })
 }
@@ -202,42 +175,30 @@ fn needs_image(arguments: &[String]) -> bool {
 /// The packages with `publish = true`.
 pub(crate) const PUBLISHED: [&str; 2] = ["singletrack-control", "singletrack-mocap"];
 
-/// Checks that the packages without I/O build without the others, beside those of [`PUBLISHED`], which
-/// are built alone. In the workspace's build, a package has the features that all others ask for, which
-/// hides missing ones. What `cargo demo` builds is built for the Odroid.
-pub(crate) fn check_alone() -> Result {
-    check(&mut cargo(
-        "check --quiet --package singletrack-protocol --package singletrack-board \
-         --package singletrack-pilot --package singletrack-link",
-    ))
-}
-
 /// Checks that the packages for others can be published: `cargo package` packs each from its
 /// `include` list and builds the result outside of the workspace. A file that is not packed, and a
 /// dependency without a version, are errors there only.
 pub(crate) fn check_published() -> Result {
     let packages = PUBLISHED.iter().flat_map(|package| ["--package", package]);
     // The working tree may hold changes. Offline, the versions are those of the workspace, and nothing
-    // waits for the registry: `check_alone` has downloaded what they need.
+    // waits for the registry: the build has downloaded what they need.
     let mut package = cargo("package --quiet --offline --allow-dirty");
     // A packed package is a workspace of its own, which has the profile of this one here. Dependencies
-    // are built once for all of them, and kept; what runs while compiling is that of `check_alone`.
-    for setting in [
+    // are built once for all of them, and kept; what runs while compiling is that of packages that are built alone.
+    let settings = [
         "codegen-units=2",
         "incremental=false",
         "build-override.codegen-units=2",
         "build-override.debug=false",
         "package.\"*\".debug=false",
-    ] {
-        configure(&mut package, &format!("dev.{setting}"));
-    }
-    let folder = target::folder()?;
-    check(package.args(packages).env("CARGO_TARGET_DIR", folder))
+    ];
+    configure(&mut package, "dev", &settings);
+    check(package.args(packages).env("CARGO_TARGET_DIR", target()?))
 }
 
 #[cfg(test)]
 mod tests {
-    use crate::workspace;
+    use crate::{prerequisites::PARTS, workspace};
 
     use super::*;
 
@@ -267,10 +228,12 @@ mod tests {
     #[test]
     fn a_part_that_is_left_out_leaves_out_its_package() {
         assert_eq!(Packages::Default.options().join(" "), "");
+        let mut parts = PARTS.to_vec();
+        assert!(OF_PARTS.iter().all(|(part, _)| parts.contains(part)));
+        parts.retain(|part| !["ros", "slurm"].contains(part));
+        let packages = Packages::AllWith(parts);
         assert_eq!(
-            Packages::AllWithout(vec![Part::Ros, Part::Slurm])
-                .options()
-                .join(" "),
+            packages.options().join(" "),
             "--workspace --exclude singletrack-ros"
         );
     }

@@ -1,24 +1,23 @@
 //! `cargo release`: all files of a release in one folder. It publishes nothing.
 
 use std::{
-    fs,
+    ffi::OsStr,
     path::{Path, PathBuf},
-    process::Command,
 };
 
 use crate::{
     deb,
     notes::{self, VERSION},
     odroid, options, prerequisites,
-    process::{At as _, Result, check, command, failure, require, silent, text},
-    programs::{INSTALLED, NODE, PUBLISHED, Packages, check_published, release_build},
+    process::{Result, check, command, failure, require, text},
+    programs::{INSTALLED, NODE, PUBLISHED, Packages, check_published},
     python,
     step::{
         Scope::{All, Always},
         Step, demo_s, row, run_all,
     },
-    target, web,
-    workspace::{cargo, root},
+    web,
+    workspace::{emptied, put, root, script, target, write},
 };
 
 pub(crate) const USAGE: &str = "\
@@ -37,9 +36,6 @@ and installs missing packages. Publishes nothing.
 /// The folder of the files, in the target folder.
 const FOLDER: &str = concat!("release-", env!("CARGO_PKG_VERSION"));
 
-/// The version of mdbook that makes the site.
-const MDBOOK: &str = "0.5.4";
-
 /// Debian's names of the architectures. The first is that of the container image, which is made of
 /// its packages.
 const ARCHITECTURES: [&str; 3] = ["amd64", "arm64", "armhf"];
@@ -49,69 +45,66 @@ const ARCHITECTURES: [&str; 3] = ["amd64", "arm64", "armhf"];
 const STEPS: [Step; 8] = [
     row("notes", 0.03, Always, "release notes, and the licences of all libraries", write_notes),
     row("crates", 0.21, All, "the packages of crates.io, in their order", crates),
-    row("book", 2.9, All, "the site, with the laboratory", book),
+    row("book", 2.9, All, "the site, with the laboratory",
+        |_| run("book", web::build_published()?)),
     row("debian", 14.2, All, "the Debian packages", debian),
     row("drive", 4.5, All,
         "the packaged daemon drives a simulated board; optimised here and for the Odroid, the bits are the same",
         drive),
-    row("image", 0.16, All, "the container image of the simulator", image),
+    row("image", 0.16, All, "the container image of the simulator",
+        |_| run("image", ARCHITECTURES[0])),
     row("wheels", 5.3, All, "the Python package", |_| python::make_wheels(&folder()?)),
-    row("checksums", 0.03, Always, "SHA256SUMS", checksums),
+    row("checksums", 0.03, Always, "SHA256SUMS", |_| run("checksums", "")),
 ];
 
 /// What a command line asks for.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub(crate) struct Plan {
-    tag: Option<String>,
-    without: Vec<String>,
+pub(crate) struct Plan<'a> {
+    tag: Option<&'a str>,
+    without: Vec<&'a str>,
 }
 
 pub(crate) fn main(arguments: &[String]) -> Result {
-    let plan = parse(arguments)?;
+    let Plan { tag, without } = parse(arguments)?;
     let newest = notes::newest()?;
-    let git = plan.tag.as_ref().map(|_| "git");
-    let podman = plan.has("image").then_some("podman");
-    let wasm = plan.has("book").then_some("wasm");
-    prerequisites::ensure(git.into_iter().chain(podman).chain(wasm))?;
-    if let Some(tag) = &plan.tag {
+    let git = tag.map(|_| "git");
+    let podman = (!without.contains(&"image")).then_some("podman");
+    let wasm = (!without.contains(&"book")).then_some("wasm");
+    prerequisites::ensure([git, podman, wasm].into_iter().flatten())?;
+    if let Some(tag) = tag {
         newest.check_tag(tag)?;
         check_clean()?;
     }
-    target::emptied(FOLDER)?;
-    let steps = STEPS.into_iter().filter(|step| plan.has(step.name));
-    let steps: Vec<Step> = steps.collect();
-    run_all(&steps, &Packages::Default, demo_s()?)?;
-    if !plan.without.is_empty() {
-        println!("NOT A RELEASE: without {}", plan.without.join(", "));
+    emptied(FOLDER)?;
+    run_all(&steps(&without), &Packages::Default, demo_s()?)?;
+    if !without.is_empty() {
+        println!("NOT A RELEASE: without {}", without.join(", "));
     }
     Ok(())
 }
 
-impl Plan {
-    fn has(&self, step: &str) -> bool {
-        !self.without.iter().any(|name| name == step)
-    }
+fn steps(without: &[&str]) -> Vec<Step> {
+    let steps = STEPS.into_iter();
+    steps.filter(|step| !without.contains(&step.name)).collect()
 }
 
-pub(crate) fn parse(arguments: &[String]) -> Result<Plan> {
+pub(crate) fn parse(arguments: &[String]) -> Result<Plan<'_>> {
     let mut plan = Plan::default();
     for option in options(arguments, &["--tag", "--without"]) {
         match option {
-            ("--tag", Some(tag)) => plan.tag = Some(tag.to_owned()),
-            ("--without", Some(names)) => plan.without.extend(names.split(',').map(str::to_owned)),
+            ("--tag", Some(tag)) => plan.tag = Some(tag),
+            ("--without", Some(names)) => plan.without.extend(names.split(',')),
             (option, _) => return Err(failure!("unexpected argument {option:?}\n\n{USAGE}")),
         }
     }
     for name in &plan.without {
         let mut steps = STEPS.iter();
-        let known = steps.any(|step| step.scope == All && step.name == name);
+        let known = steps.any(|step| step.scope == All && step.name == *name);
         require!(known, "--without {name:?} is no such step\n\n{USAGE}");
     }
     let is_whole = plan.tag.is_none() || plan.without.is_empty();
-    require!(
-        is_whole,
-        "a release has all steps: --tag or --without\n\n{USAGE}"
-    );
+    let wanted = "a release has all steps: --tag or --without";
+    require!(is_whole, "{wanted}\n\n{USAGE}");
     Ok(plan)
 }
 
@@ -129,50 +122,37 @@ fn check_clean() -> Result {
 
 /// The folder of the files.
 fn folder() -> Result<PathBuf> {
-    Ok(target::folder()?.join(FOLDER))
-}
-
-fn write(name: &str, text: &str) -> Result {
-    let path = folder()?.join(name);
-    fs::write(&path, text).at(&path)
+    Ok(target()?.join(FOLDER))
 }
 
 /// Copies a file into the folder.
 fn take(file: &Path) -> Result {
     let name = file.file_name().unwrap_or_default();
-    target::put(file, &folder()?.join(name))
+    put(file, &folder()?.join(name))
+}
+
+/// A step that only runs programs.
+fn run(step: &str, argument: impl AsRef<OsStr>) -> Result {
+    let mut run = script("xtask/src/release.sh");
+    run.arg(step).args([folder()?, target()?]);
+    check(run.arg(VERSION).arg(argument))
 }
 
 fn write_notes(_: &Packages) -> Result {
     let programs = [&INSTALLED[..], &[NODE, python::MODULE]].concat();
     let licences = notes::licences(&programs, &notes::TARGETS)?;
-    write("LICENCES.txt", &licences)?;
-    write("notes.md", &notes::newest()?.text)
+    write(&folder()?.join("LICENCES.txt"), licences)?;
+    write(&folder()?.join("notes.md"), notes::newest()?.text)
 }
 
 fn crates(_: &Packages) -> Result {
     // The list of the licences has downloaded what they need.
     check_published()?;
-    let packed = target::folder()?.join("package");
+    let packed = target()?.join("package");
     for package in PUBLISHED {
         take(&packed.join(format!("{package}-{VERSION}.crate")))?;
     }
     Ok(())
-}
-
-fn book(_: &Packages) -> Result {
-    let target = target::folder()?;
-    let tools = target.join("tools");
-    let mut install = cargo("install --quiet --locked --no-default-features --features search");
-    install.args(["--version", MDBOOK, "mdbook", "--root"]);
-    check(install.arg(&tools))?;
-    let site = target.join("book");
-    let mut mdbook = Command::new(tools.join("bin/mdbook"));
-    mdbook.args(["build", "docs", "--dest-dir"]).arg(&site);
-    check(mdbook.current_dir(root()))?;
-    target::copy(&web::build_published()?, &site.join("laboratory"))?;
-    let archive = folder()?.join(format!("singletrack-book-{VERSION}.tar.gz"));
-    target::pack(&site, &archive)
 }
 
 fn debian(_: &Packages) -> Result {
@@ -187,49 +167,24 @@ fn debian(_: &Packages) -> Result {
 /// The daemon of this machine's package, in the suite that else has that of the tests.
 fn drive(packages: &Packages) -> Result {
     odroid::compare_installed(packages)?;
-    let (_, programs) = release_build()?;
-    let mut suite = Packages::Default.tests(Some("hil"))?;
-    suite.arg("--daemon").arg(programs.join("singletrackd"));
+    let mut suite = Packages::Default.tests("--test hil -- --daemon")?;
+    suite.arg(target()?.join("release/singletrackd"));
     check(suite.arg("drive"))
-}
-
-fn image(_: &Packages) -> Result {
-    let name = format!("singletrack-sim:{VERSION}");
-    // In a container, and for root without all rights, no other isolation works.
-    let mut build = command("podman build --quiet --isolation chroot --squash --tag");
-    build.args([&name, "--file", "packaging/Containerfile.simulator"]);
-    build.arg(target::folder()?.join("debian"));
-    check(build.current_dir(root()))?;
-    let file = format!("singletrack-sim_{VERSION}_{}.tar", ARCHITECTURES[0]);
-    let mut save = command("podman save --quiet --format oci-archive --output");
-    silent(save.arg(folder()?.join(file)).arg(&name))
-}
-
-fn checksums(_: &Packages) -> Result {
-    let folder = folder()?;
-    let files = fs::read_dir(&folder).at(&folder)?.flatten();
-    let mut names: Vec<_> = files.map(|file| file.file_name()).collect();
-    names.sort();
-    let mut sum = command("sha256sum");
-    write("SHA256SUMS", &text(sum.args(names).current_dir(&folder))?)?;
-    check(command("du --apparent-size --human-readable --all").arg(&folder))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn parsed(line: &str) -> Result<Plan> {
-        let arguments: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
-        parse(&arguments)
+    fn words(line: &str) -> Vec<String> {
+        line.split_whitespace().map(str::to_owned).collect()
     }
 
     #[test]
     fn steps_can_be_left_out() {
         let made = |line: &str| {
-            let plan = parsed(line).unwrap();
-            let made = STEPS.iter().filter(|step| plan.has(step.name));
-            made.map(|step| step.name).collect::<Vec<_>>()
+            let made = steps(&parse(&words(line)).unwrap().without);
+            made.iter().map(|step| step.name).collect::<Vec<_>>()
         };
         assert_eq!(made("").len(), STEPS.len());
         assert_eq!(
@@ -240,11 +195,9 @@ mod tests {
 
     #[test]
     fn a_release_has_all_steps() {
-        assert_eq!(
-            parsed("--tag v1.2.3").unwrap().tag.as_deref(),
-            Some("v1.2.3")
-        );
-        let why = parsed("--tag v1.2.3 --without book").unwrap_err();
+        let tagged = words("--tag v1.2.3");
+        assert_eq!(parse(&tagged).unwrap().tag, Some("v1.2.3"));
+        let why = parse(&words("--tag v1.2.3 --without book")).unwrap_err();
         assert!(why.to_string().contains("all steps"), "{why}");
     }
 
@@ -257,7 +210,7 @@ mod tests {
             "--without checksums",
             "--all",
         ] {
-            let why = parsed(line).unwrap_err().to_string();
+            let why = parse(&words(line)).unwrap_err().to_string();
             assert!(why.contains(USAGE), "{line}: {why}");
         }
     }

@@ -8,14 +8,13 @@ use std::{
 };
 
 use crate::{
-    prerequisites::Part,
-    process::{At as _, Failure, NOT_VALID, Result, command, failure, silent},
+    process::{Failure, NOT_VALID, Result, command, failure, silent},
     programs::Packages,
-    target,
+    workspace::{emptied, write},
 };
 
 /// One check.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Step {
     pub(crate) name: &'static str,
     /// Processor time that it may take from nothing, as a multiple of that of `cargo demo` from nothing
@@ -34,7 +33,7 @@ pub(crate) enum Scope {
     /// `cargo verify --all` alone.
     All,
     /// `cargo verify --all` alone, and an optional part of it.
-    Of(Part),
+    Of(&'static str),
 }
 
 /// A step as a row of a table.
@@ -54,41 +53,32 @@ pub(crate) const fn row(
     }
 }
 
-/// What a step has cost.
-struct Cost {
-    name: &'static str,
-    wall: Duration,
-    processor_s: f64,
-    budget: f64,
-}
+/// What a step has cost: time on the clock, and processor time in s.
+type Cost<'a> = (&'a Step, Duration, f64);
 
 /// Runs the steps up to the first failure. Prints the cost of each, those over their budgets, and the
 /// steps that were not run. A step that was not valid does not end the others. `demo_s` is the unit of
 /// the costs.
 pub(crate) fn run_all(steps: &[Step], packages: &Packages, demo_s: f64) -> Result {
     let begin = Instant::now();
-    let mut costs: Vec<Cost> = Vec::new();
+    let mut costs: Vec<Cost<'_>> = Vec::new();
     let mut not_valid: Vec<&str> = Vec::new();
     let mut result = Ok(());
     for step in steps {
         println!("\n== {}: {}", step.name, step.what);
         let (start, start_s) = (Instant::now(), processor_s());
-        match (step.run)(packages) {
+        let checked = (step.run)(packages);
+        costs.push((step, start.elapsed(), processor_s() - start_s));
+        match checked {
             Ok(()) => {}
-            Err(Failure::NotValid(why)) => {
-                println!("NOT VALID: {why}");
+            Err(failure) if failure.status == NOT_VALID => {
+                println!("NOT VALID: {failure}");
                 not_valid.push(step.name);
             }
-            Err(failure) => result = Err(failure!("{} failed: {failure}", step.name)),
-        }
-        costs.push(Cost {
-            name: step.name,
-            wall: start.elapsed(),
-            processor_s: processor_s() - start_s,
-            budget: step.budget,
-        });
-        if result.is_err() {
-            break;
+            Err(failure) => {
+                result = Err(failure!("{} failed: {failure}", step.name));
+                break;
+            }
         }
     }
     let wall = begin.elapsed();
@@ -102,45 +92,45 @@ pub(crate) fn run_all(steps: &[Step], packages: &Packages, demo_s: f64) -> Resul
         return Ok(());
     }
     let names = not_valid.join(" ");
-    Err(Failure::NotValid(format!(
+    let text = format!(
         "not valid on this machine now: {names}. They check in real time, and the machine was busy; \
          everything else has passed. End other programs, then: cargo verify {names} \
          (exit status {NOT_VALID})"
-    )))
+    );
+    let status = NOT_VALID;
+    Err(Failure { text, status })
 }
 
 /// A line a step, their sum, and the steps that took half more than their budgets. Costs are multiples
 /// of the demo's, too.
-fn table(costs: &[Cost], wall: Duration, demo_s: f64) -> String {
+fn table(costs: &[Cost<'_>], wall: Duration, demo_s: f64) -> String {
     let mut text = format!(
         "{:>22}  {:>9}  {:>11}  {:>8}  {:>6}\n",
         "step", "time", "processor", "in demos", "budget"
     );
+    let mut over = String::new();
     let mut line = |name: &str, wall: Duration, processor_s: f64, budget: f64| {
+        let (wall_s, demos) = (wall.as_secs_f64(), processor_s / demo_s);
         text += &format!(
-            "{name:>22}  {:>7.1} s  {processor_s:>9.1} s  {:>8.2}  {budget:>6.2}\n",
-            wall.as_secs_f64(),
-            processor_s / demo_s
+            "{name:>22}  {wall_s:>7.1} s  {processor_s:>9.1} s  {demos:>8.2}  {budget:>6.2}\n"
         );
     };
-    for cost in costs {
-        line(cost.name, cost.wall, cost.processor_s, cost.budget);
-    }
-    let processor_s = costs.iter().map(|cost| cost.processor_s).sum();
-    let budget = costs.iter().map(|cost| cost.budget).sum();
-    line("total", wall, processor_s, budget);
-    for cost in costs {
-        let demos = cost.processor_s / demo_s;
-        if demos > 1.5 * cost.budget {
-            text += &format!(
-                "OVER BUDGET: {} took the processor time of {demos:.2} demos, {} are planned\n",
-                cost.name, cost.budget
+    for (Step { name, budget, .. }, wall, processor_s) in costs {
+        line(name, *wall, *processor_s, *budget);
+        let demos = processor_s / demo_s;
+        if demos > 1.5 * budget {
+            over += &format!(
+                "OVER BUDGET: {name} took the processor time of {demos:.2} demos, {budget} are planned\n"
             );
         }
     }
-    text + &format!(
-        "A demo from nothing takes {demo_s:.0} s of processor time here, by the compilation of a sample.\n"
-    )
+    let processor_s = costs.iter().map(|cost| cost.2).sum();
+    let budget = costs.iter().map(|cost| cost.0.budget).sum();
+    line("total", wall, processor_s, budget);
+    text + &over
+        + &format!(
+            "A demo from nothing takes {demo_s:.0} s of processor time here, by the compilation of a sample.\n"
+        )
 }
 
 /// User and system time of all processes that this one has started and that have ended.
@@ -159,22 +149,23 @@ fn children_ticks(stat: &str) -> Option<u64> {
     Some(next()? + next()?)
 }
 
-/// The sample is compiled this often.
-const SAMPLES: u32 = 4;
-
 /// Processor time of `cargo demo` from nothing, as a multiple of that of the sample. Measured in one
 /// session on one machine: 213.2 s, and 0.98 s.
 const SAMPLES_IN_A_DEMO: f64 = 217.0;
 
-/// Processor time of `cargo demo` from nothing on this machine, estimated by compiling a sample.
+/// Processor time of `cargo demo` from nothing on this machine, estimated by compiling a sample: a library
+/// that depends on nothing but the standard library, and is always the same, modules that differ in a
+/// number.
 pub(crate) fn demo_s() -> Result<f64> {
-    let folder = target::emptied("yardstick")?;
+    let folder = emptied("yardstick")?;
     let file = folder.join("sample.rs");
-    fs::write(&file, sample()).at(&file)?;
+    let modules = ["0", "1", "2", "3"];
+    let sample = modules.map(|number| include_str!("sample.txt").replace("NUMBER", number));
+    write(&file, sample.concat())?;
     let mut rustc = command(
         "rustc --edition 2024 --crate-type lib -C opt-level=1 -C codegen-units=1 --out-dir",
     );
-    Ok(SAMPLES_IN_A_DEMO * least_s(SAMPLES, rustc.args([&folder, &file]))?)
+    Ok(SAMPLES_IN_A_DEMO * least_s(4, rustc.args([&folder, &file]))?)
 }
 
 /// Processor time of a command that runs this often: the least one, which other work on the machine
@@ -187,14 +178,6 @@ pub(crate) fn least_s(runs: u32, command: &mut Command) -> Result<f64> {
         least_s = least_s.min(processor_s() - before_s);
     }
     Ok(least_s)
-}
-
-/// A library that depends on nothing but the standard library, and is always the same: modules that differ
-/// in a number.
-fn sample() -> String {
-    let modules =
-        (0..4).map(|number| include_str!("sample.txt").replace("NUMBER", &number.to_string()));
-    modules.collect()
 }
 
 #[cfg(test)]
@@ -233,11 +216,14 @@ mod tests {
     fn a_check_that_was_not_valid_ends_no_other_and_is_named() {
         let step = |name, run| row(name, 1.0, Scope::Always, "", run);
         let steps = [
-            step("busy", |_| Err(Failure::NotValid("late".to_owned()))),
+            step("busy", |_| {
+                let (text, status) = ("late".to_owned(), NOT_VALID);
+                Err(Failure { text, status })
+            }),
             step("calm", |_| Ok(())),
         ];
         let failure = run_all(&steps, &Packages::Default, 100.0).unwrap_err();
-        assert!(matches!(failure, Failure::NotValid(_)), "{failure}");
+        assert_eq!(failure.status, NOT_VALID, "{failure}");
         let text = failure.to_string();
         assert!(
             text.contains("cargo verify busy (exit status 75)"),
@@ -247,13 +233,10 @@ mod tests {
 
     #[test]
     fn a_step_half_over_its_budget_is_named() {
-        let cost = |name, processor_s| Cost {
-            name,
-            wall: Duration::from_secs(1),
-            processor_s,
-            budget: 0.1,
-        };
-        let costs = [cost("near", 14.9), cost("far", 15.1)];
+        let step = |name| row(name, 0.1, Scope::Always, "", |_| Ok(()));
+        let (near, far) = (step("near"), step("far"));
+        let wall = Duration::from_secs(1);
+        let costs = [(&near, wall, 14.9), (&far, wall, 15.1)];
         let text = table(&costs, Duration::ZERO, 100.0);
         assert!(
             text.contains("OVER BUDGET: far took the processor time of 0.15 demos, 0.1 are"),
