@@ -6,8 +6,7 @@
 //! daemon stops the car when they end.
 
 use std::{
-    path::PathBuf,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -17,6 +16,7 @@ use singletrack_api::{ClientError, HeldDrive, Reply, Request, ask};
 use crate::{
     message::TriggerResponse,
     node::{Node, start},
+    shared::Shared,
 };
 
 /// The longest wait for a line, so that renewals are not late.
@@ -25,122 +25,44 @@ const WAIT: Duration = Duration::from_millis(20);
 /// The longest wait for a daemon that does not read.
 const PATIENCE: Duration = Duration::from_millis(200);
 
-/// The last set-point before an arm may be this old.
-const ATTENDED: Duration = Duration::from_millis(500);
-
-/// Arms, disarms and stops.
-#[derive(Clone, Debug)]
-pub(crate) struct Attendance {
-    socket: PathBuf,
-    state: Arc<Mutex<State>>,
+/// Arms a drive, and holds it until it ends. Returns once the car drives.
+fn arm(shared: &Arc<Shared>) -> Result<(), String> {
+    {
+        let mut state = shared.state();
+        if let Some(refusal) = state.refusal(Instant::now()) {
+            return Err(format!("can't arm: {refusal}"));
+        }
+        state.is_held = true;
+    }
+    let held = Held(Arc::clone(shared));
+    let socket = &shared.arguments.socket;
+    let mut drive = HeldDrive::arm(socket, PATIENCE, WAIT).map_err(|error| error.to_string())?;
+    start("hold", move || {
+        let ended = hold(&mut drive);
+        drop(held);
+        match ended {
+            Ok(ended) => tracing::info!("the drive has ended: {ended}"),
+            Err(error) => tracing::warn!("the drive has ended: {error}"),
+        }
+    })
 }
 
-#[derive(Debug, Default)]
-struct State {
-    /// When a set-point was passed on, and when the daemon rejected one.
-    passed: Option<Instant>,
-    rejected: Option<Instant>,
-    /// A drive of this process is being armed, or driven.
-    is_held: bool,
+/// Asks the daemon to slow the car down and stop it, or to stop it at once, until the board is reset.
+fn tell(shared: &Shared, request: &Request) -> Result<(), String> {
+    let answer = ask(request, &shared.arguments.socket);
+    answer.map(drop).map_err(|error| error.to_string())
 }
 
-impl State {
-    /// Why no drive may be armed now.
-    fn refusal(&self, now: Instant) -> Option<&'static str> {
-        let recent =
-            |time: Option<Instant>| time.is_some_and(|time| now.duration_since(time) <= ATTENDED);
-        if self.is_held {
-            return Some("a drive of this node is under way");
-        }
-        if !recent(self.passed) {
-            return Some(
-                "no set-points come: send them to drive, cmd_vel, point_velocity or path first, then \
-                 arm",
-            );
-        }
-        if recent(self.rejected) {
-            return Some(
-                "the daemon rejects the set-points (see /diagnostics); is reference.kind \
-                 \"external\"?",
-            );
-        }
-        None
-    }
-}
-
-impl Attendance {
-    pub(crate) fn new(socket: PathBuf) -> Self {
-        Self {
-            socket,
-            state: Arc::default(),
-        }
-    }
-
-    /// A set-point was passed on to the daemon.
-    pub(crate) fn passed(&self) {
-        self.state().passed = Some(Instant::now());
-    }
-
-    /// The daemon rejected a set-point.
-    pub(crate) fn rejected(&self) {
-        self.state().rejected = Some(Instant::now());
-    }
-
-    /// Arms a drive, and holds it until it ends. Returns once the car drives.
-    pub(crate) fn arm(&self) -> Result<(), String> {
-        {
-            let mut state = self.state();
-            if let Some(refusal) = state.refusal(Instant::now()) {
-                return Err(format!("can't arm: {refusal}"));
-            }
-            state.is_held = true;
-        }
-        let held = Held(self.clone());
-        let mut drive =
-            HeldDrive::arm(&self.socket, PATIENCE, WAIT).map_err(|error| error.to_string())?;
-        start("hold", move || {
-            let ended = hold(&mut drive);
-            drop(held);
-            match ended {
-                Ok(ended) => tracing::info!("the drive has ended: {ended}"),
-                Err(error) => tracing::warn!("the drive has ended: {error}"),
-            }
-        })
-    }
-
-    /// Slows the car down and stops it.
-    pub(crate) fn disarm(&self) -> Result<(), String> {
-        self.tell(&Request::DISARM)
-    }
-
-    /// Stops the car at once, until the board is reset.
-    pub(crate) fn stop(&self) -> Result<(), String> {
-        self.tell(&Request::Stop {})
-    }
-
-    /// Disarms a drive of this process.
-    pub(crate) fn end(&self) {
-        if self.state().is_held
-            && let Err(error) = self.disarm()
-        {
-            tracing::warn!("{error}");
-        }
-    }
-
-    fn tell(&self, request: &Request) -> Result<(), String> {
-        ask(request, &self.socket)
-            .map(drop)
-            .map_err(|error| error.to_string())
-    }
-
-    fn state(&self) -> MutexGuard<'_, State> {
-        // The state holds no invariant that a panic could break.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+/// Disarms a drive of this process.
+pub(crate) fn end(shared: &Shared) {
+    let is_held = shared.state().is_held;
+    if is_held && let Err(error) = tell(shared, &Request::DISARM) {
+        tracing::warn!("{error}");
     }
 }
 
 /// A drive is held for as long as this lives.
-struct Held(Attendance);
+struct Held(Arc<Shared>);
 
 impl Drop for Held {
     fn drop(&mut self) {
@@ -159,20 +81,24 @@ fn hold(drive: &mut HeldDrive) -> Result<String, ClientError> {
 
 /// Offers the services `arm`, `disarm` and `stop`, each on a thread of its own: an arm that waits
 /// does not delay a stop.
-pub(crate) fn offer(node: &mut Node, attendance: &Attendance) -> Result<(), String> {
-    serve(node, "arm", attendance, Attendance::arm)?;
-    serve(node, "disarm", attendance, Attendance::disarm)?;
-    serve(node, "stop", attendance, Attendance::stop)
+pub(crate) fn offer(node: &mut Node, shared: &Arc<Shared>) -> Result<(), String> {
+    serve(node, "arm", shared, arm)?;
+    serve(node, "disarm", shared, |shared| {
+        tell(shared, &Request::DISARM)
+    })?;
+    serve(node, "stop", shared, |shared| {
+        tell(shared, &Request::Stop {})
+    })
 }
 
 fn serve(
     node: &mut Node,
     name: &'static str,
-    attendance: &Attendance,
-    obey: impl Fn(&Attendance) -> Result<(), String> + Send + 'static,
+    shared: &Arc<Shared>,
+    obey: fn(&Arc<Shared>) -> Result<(), String>,
 ) -> Result<(), String> {
     let server = node.trigger(name)?;
-    let attendance = attendance.clone();
+    let shared = Arc::clone(shared);
     start(name, move || {
         loop {
             let request = match block_on(server.async_receive_request()) {
@@ -182,7 +108,7 @@ fn serve(
                     continue;
                 }
             };
-            let done = obey(&attendance);
+            let done = obey(&shared);
             match &done {
                 Ok(()) => tracing::info!("{name}: done"),
                 Err(error) => tracing::warn!("{name}: {error}"),
@@ -196,29 +122,4 @@ fn serve(
             }
         }
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_drive_is_armed_only_while_set_points_come_and_are_taken() {
-        let now = Instant::now() + Duration::from_secs(10);
-        let ago = |ms| Some(now - Duration::from_millis(ms));
-        let refusal = |passed, rejected, is_held| {
-            let state = State {
-                passed,
-                rejected,
-                is_held,
-            };
-            state.refusal(now).unwrap_or("none").to_owned()
-        };
-        assert_eq!(refusal(ago(10), None, false), "none");
-        assert_eq!(refusal(ago(10), ago(501), false), "none");
-        assert!(refusal(ago(10), ago(10), false).contains("rejects"));
-        assert!(refusal(ago(501), None, false).contains("no set-points"));
-        assert!(refusal(None, None, false).contains("no set-points"));
-        assert!(refusal(ago(10), None, true).contains("under way"));
-    }
 }

@@ -1,21 +1,6 @@
 //! The car by the configuration in force: its wheelbase, and its description for viewers.
 
 use core::f64::consts::FRAC_PI_2;
-use std::sync::{Arc, Mutex, PoisonError};
-
-/// The car, once the daemon has given its configuration.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct SharedCar(Arc<Mutex<Option<Car>>>);
-
-impl SharedCar {
-    pub(crate) fn set(&self, car: Car) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(car);
-    }
-
-    pub(crate) fn get(&self) -> Option<Car> {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
 
 /// Distances of the axles from the centre of mass, in m.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,9 +4,9 @@ use std::{collections::BTreeMap, sync::Arc, thread, time::Duration};
 
 use crate::{
     clocks::Now,
-    message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time},
+    message::{DiagnosticArray, DiagnosticStatus, Header, Time},
     node::{Node, prompt, start as start_thread},
-    tally::{Counts, Tally},
+    shared::{Counts, Shared},
 };
 
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -15,23 +15,17 @@ const INTERVAL: Duration = Duration::from_secs(1);
 const OK: u8 = 0;
 const WARN: u8 = 1;
 
-pub(crate) fn start(node: &mut Node, tally: &Arc<Tally>) -> Result<(), String> {
-    let publisher = node.publisher(
-        "diagnostics",
-        ("diagnostic_msgs", "DiagnosticArray"),
-        prompt(),
-    )?;
-    let tally = Arc::clone(tally);
+pub(crate) fn start(node: &mut Node, shared: &Arc<Shared>) -> Result<(), String> {
+    let kind = ("diagnostic_msgs", "DiagnosticArray");
+    let publisher = node.publisher("diagnostics", kind, prompt())?;
+    let shared = Arc::clone(shared);
     start_thread("diagnostics", move || {
         let mut before = 0;
         loop {
             thread::sleep(INTERVAL);
-            let counts = tally.lock().clone();
-            let refused = counts
-                .refused
-                .values()
-                .chain(counts.rejected.values())
-                .sum();
+            let counts = shared.state().counts.clone();
+            let codes = counts.refused.values().chain(counts.rejected.values());
+            let refused = codes.sum();
             let level = if refused > before { WARN } else { OK };
             before = refused;
             // A slow subscriber sees the next one.
@@ -41,7 +35,6 @@ pub(crate) fn start(node: &mut Node, tally: &Arc<Tally>) -> Result<(), String> {
 }
 
 fn report(counts: &Counts, level: u8, now: Now) -> DiagnosticArray {
-    let value = |key, value: String| KeyValue { key, value };
     let message = match level {
         OK => "set-points pass",
         _ => "set-points are refused",
@@ -57,15 +50,15 @@ fn report(counts: &Counts, level: u8, now: Now) -> DiagnosticArray {
             message: message.to_owned(),
             hardware_id: "",
             values: vec![
-                value("set-points passed on", counts.passed.to_string()),
-                value("set-points refused", by_code(&counts.refused)),
-                value(
+                ("set-points passed on", counts.passed.to_string()),
+                ("set-points refused", by_code(&counts.refused)),
+                (
                     "set-points rejected by the daemon",
                     by_code(&counts.rejected),
                 ),
-                value("set-points lost", counts.lost.to_string()),
-                value("entries missed", counts.missed.to_string()),
-                value("messages held up", counts.held_up.to_string()),
+                ("set-points lost", counts.lost.to_string()),
+                ("entries missed", counts.missed.to_string()),
+                ("messages held up", counts.held_up.to_string()),
             ],
         }],
     }
@@ -99,6 +92,6 @@ mod tests {
                 nanosec: 500_000_000
             }
         );
-        assert_eq!(report.status[0].values[1].value, "invalid 1, old 3");
+        assert_eq!(report.status[0].values[1].1, "invalid 1, old 3");
     }
 }

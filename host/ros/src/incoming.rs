@@ -1,12 +1,8 @@
 //! Takes set-points and passes them on to the daemon.
 
 use std::{
-    path::PathBuf,
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicU32, Ordering},
-    },
-    time::Duration,
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
 };
 
 use futures::{StreamExt as _, executor::block_on};
@@ -15,13 +11,10 @@ use serde::de::DeserializeOwned;
 use singletrack_api::{Answer, ClientError, Code, Connection, Refused, Request, Setpoint};
 
 use crate::{
-    arguments::Arguments,
-    attendance::Attendance,
-    car::SharedCar,
     clocks::Now,
     node::{Node, start as start_thread},
     setpoint::{Arrival, Judge, ignored_of_drive, ignored_of_twist},
-    tally::Tally,
+    shared::Shared,
 };
 
 /// The longest wait for a daemon that does not read.
@@ -35,24 +28,14 @@ const ONCE: Reliability = Reliability::Reliable {
     when_full: WhenFull::DEFAULT,
 };
 
-pub(crate) fn start(
-    node: &mut Node,
-    arguments: &Arguments,
-    car: &SharedCar,
-    attendance: &Attendance,
-    tally: &Arc<Tally>,
-) -> Result<(), String> {
+pub(crate) fn start(node: &mut Node, shared: &Arc<Shared>) -> Result<(), String> {
     let way = Arc::new(Way {
         judge: Judge {
-            max_age: arguments.max_age(),
-            frames: arguments.frames.clone(),
+            max_age: shared.arguments.max_age(),
+            frames: shared.arguments.frames.clone(),
         },
-        car: car.clone(),
-        socket: arguments.socket.clone(),
-        connection: Mutex::new(None),
-        sequence: AtomicU32::new(1),
-        attendance: attendance.clone(),
-        tally: Arc::clone(tally),
+        daemon: Mutex::new((None, 1)),
+        shared: Arc::clone(shared),
     });
     let twist = ("geometry_msgs", "TwistStamped");
     let topic = ("point_velocity", twist, NEWEST);
@@ -61,12 +44,13 @@ pub(crate) fn start(
     })?;
     let topic = ("cmd_vel", twist, NEWEST);
     take(node, &way, topic, |way, message, arrival| {
-        ignored_of_twist(message).for_each(|text| way.tally.warn_once(text));
-        way.judge.twist(message, way.car.get(), arrival)
+        ignored_of_twist(message).for_each(|text| way.shared.warn_once(text));
+        let car = way.shared.state().car;
+        way.judge.twist(message, car, arrival)
     })?;
     let topic = ("drive", ("ackermann_msgs", "AckermannDriveStamped"), NEWEST);
     take(node, &way, topic, |way, message, arrival| {
-        ignored_of_drive(message).for_each(|text| way.tally.warn_once(text));
+        ignored_of_drive(message).for_each(|text| way.shared.warn_once(text));
         way.judge.drive(message, arrival)
     })?;
     let topic = ("path", ("nav_msgs", "Path"), ONCE);
@@ -105,13 +89,9 @@ fn take<M: DeserializeOwned + Send + 'static>(
 /// The way to the daemon.
 struct Way {
     judge: Judge,
-    car: SharedCar,
-    socket: PathBuf,
-    connection: Mutex<Option<Connection>>,
-    /// The number of the next set-point.
-    sequence: AtomicU32,
-    attendance: Attendance,
-    tally: Arc<Tally>,
+    /// The connection, and the number of the next set-point: the lock keeps the numbers in order.
+    daemon: Mutex<(Option<Connection>, u32)>,
+    shared: Arc<Shared>,
 }
 
 impl Way {
@@ -120,26 +100,25 @@ impl Way {
             Ok(setpoint) => setpoint,
             Err(Refused { code, text }) => {
                 let code = code.name();
-                *self.tally.lock().refused.entry(code).or_default() += 1;
+                *self.shared.state().counts.refused.entry(code).or_default() += 1;
                 self.warn(&format!("{name}: refused: {code}: {text}"));
                 return;
             }
         };
-        let mut connection = self
-            .connection
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        // The lock keeps the numbers in order.
-        setpoint.sequence = Some(self.sequence.fetch_add(1, Ordering::Relaxed));
-        match self.send(&mut connection, &Request::Setpoint(setpoint)) {
+        let mut daemon = self.daemon.lock().unwrap_or_else(PoisonError::into_inner);
+        let (connection, sequence) = &mut *daemon;
+        setpoint.sequence = Some(*sequence);
+        *sequence = sequence.wrapping_add(1);
+        match self.send(connection, &Request::Setpoint(setpoint)) {
             Ok(()) => {
-                self.tally.lock().passed += 1;
-                self.attendance.passed();
+                let mut state = self.shared.state();
+                state.counts.passed += 1;
+                state.passed = Some(Instant::now());
             }
             Err(error) => {
                 // A line may have been cut: the next set-point begins with a new connection.
                 *connection = None;
-                self.tally.lock().lost += 1;
+                self.shared.state().counts.lost += 1;
                 self.warn(&format!("{name}: lost: {error}"));
             }
         }
@@ -153,7 +132,7 @@ impl Way {
     ) -> Result<(), ClientError> {
         let open = match connection {
             Some(open) => open,
-            None => connection.insert(Connection::open(&self.socket, PATIENCE)?),
+            None => connection.insert(Connection::open(&self.shared.arguments.socket, PATIENCE)?),
         };
         open.send(request)?;
         while let Some(answer) = open.receive()? {
@@ -165,17 +144,17 @@ impl Way {
     /// Counts and reports a set-point that the daemon rejected.
     fn rejected(&self, answer: Answer) {
         let code = answer.code.unwrap_or(Code::Other).name();
-        self.attendance.rejected();
-        let error = answer
-            .error
-            .unwrap_or_else(|| "without a reason".to_owned());
-        *self.tally.lock().rejected.entry(code).or_default() += 1;
+        let error = answer.error.unwrap_or("without a reason".to_owned());
+        let mut state = self.shared.state();
+        state.rejected = Some(Instant::now());
+        *state.counts.rejected.entry(code).or_default() += 1;
+        drop(state);
         self.warn(&format!("the daemon rejects a set-point: {error}"));
     }
 
     fn warn(&self, text: &str) {
         // Numbers in a reason do not make it another one.
         let reason: String = text.chars().filter(|c| !c.is_ascii_digit()).collect();
-        self.tally.warn(&reason, text);
+        self.shared.warn(&reason, text);
     }
 }

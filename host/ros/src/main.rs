@@ -16,18 +16,19 @@ mod message;
 mod node;
 mod outgoing;
 mod setpoint;
-mod tally;
+mod shared;
 
 use std::{error::Error, io, process::ExitCode, sync::Arc};
 
 use arguments::Arguments;
 use clap::Parser as _;
+use shared::Shared;
 use singletrack_api::log;
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let shared = Arc::new(Shared::new(Arguments::parse()));
     log::start("singletrack_ros", log::LevelFilter::WARN);
-    match run(&arguments) {
+    match run(&shared) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("singletrack-ros: {error}");
@@ -37,20 +38,18 @@ fn main() -> ExitCode {
 }
 
 /// Runs until a signal.
-fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
+fn run(shared: &Arc<Shared>) -> Result<(), Box<dyn Error>> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .build()?;
-    let tally = Arc::new(tally::Tally::default());
-    let attendance = attendance::Attendance::new(arguments.socket.clone());
+    let arguments = &shared.arguments;
     let mut node = node::Node::start(arguments)?;
-    let car = car::SharedCar::default();
-    outgoing::start(&mut node, arguments, &car, &tally)?;
+    outgoing::start(&mut node, shared)?;
     if !arguments.publish_only {
-        incoming::start(&mut node, arguments, &car, &attendance, &tally)?;
-        attendance::offer(&mut node, &attendance)?;
+        incoming::start(&mut node, shared)?;
+        attendance::offer(&mut node, shared)?;
     }
-    diagnostics::start(&mut node, &tally)?;
+    diagnostics::start(&mut node, shared)?;
     node.spin()?;
     tracing::info!(
         domain = node.domain,
@@ -61,7 +60,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
     runtime.block_on(signal())?;
     // The connection that holds a drive ends with the process, and the car stops at once; a
     // disarm slows it down.
-    attendance.end();
+    attendance::end(shared);
     Ok(())
 }
 

@@ -96,13 +96,6 @@ pub(crate) struct Text {
     pub(crate) data: String,
 }
 
-/// `diagnostic_msgs/msg/KeyValue`.
-#[derive(Clone, Debug, Serialize)]
-pub(crate) struct KeyValue {
-    pub(crate) key: &'static str,
-    pub(crate) value: String,
-}
-
 /// `diagnostic_msgs/msg/DiagnosticStatus`.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct DiagnosticStatus {
@@ -110,7 +103,8 @@ pub(crate) struct DiagnosticStatus {
     pub(crate) name: &'static str,
     pub(crate) message: String,
     pub(crate) hardware_id: &'static str,
-    pub(crate) values: Vec<KeyValue>,
+    /// `diagnostic_msgs/msg/KeyValue`.
+    pub(crate) values: Vec<(&'static str, String)>,
 }
 
 /// `diagnostic_msgs/msg/DiagnosticArray`.

@@ -1,18 +1,18 @@
 //! Publishes the messages of the record, as the daemon encodes them.
 
-use std::{collections::BTreeMap, path::PathBuf, sync::Arc, thread, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, thread, time::Duration};
 
 use ros2_client::{Publisher, WriteError};
 use singletrack_api::{ClientError, Clocks, MessageStream, Received, Request, ask_within};
 
 use crate::{
     arguments::Arguments,
-    car::{Car, SharedCar},
+    car::Car,
     clocks::Now,
-    frames::{Encoded, Frames},
+    frames::Encoded,
     message::Text,
     node::{Node, latched, prompt, start as start_thread},
-    tally::Tally,
+    shared::Shared,
 };
 
 /// The topics, each with the name of its node's topic and its type.
@@ -48,35 +48,24 @@ const PAUSE: Duration = Duration::from_millis(500);
 /// The clocks of stamps and of this computer may differ by this, in s.
 const CLOCK_STEP: f64 = 0.02;
 
-pub(crate) fn start(
-    node: &mut Node,
-    arguments: &Arguments,
-    car: &SharedCar,
-    tally: &Arc<Tally>,
-) -> Result<(), String> {
+pub(crate) fn start(node: &mut Node, shared: &Arc<Shared>) -> Result<(), String> {
     let mut publishers = BTreeMap::new();
     for (channel, topic, kind) in TOPICS {
         publishers.insert(channel, (kind.1, node.publisher(topic, kind, prompt())?));
     }
     let outgoing = Outgoing {
-        socket: arguments.socket.clone(),
-        frames: arguments.frames.clone(),
         publishers,
         description: node.publisher("robot_description", ("std_msgs", "String"), latched())?,
-        car: car.clone(),
-        tally: Arc::clone(tally),
+        shared: Arc::clone(shared),
     };
     start_thread("outgoing", move || outgoing.run())
 }
 
 struct Outgoing {
-    socket: PathBuf,
-    frames: Frames,
     /// The publishers by the topic of the record, each with its type.
     publishers: BTreeMap<&'static str, (&'static str, Publisher<Encoded>)>,
     description: Publisher<Text>,
-    car: SharedCar,
-    tally: Arc<Tally>,
+    shared: Arc<Shared>,
 }
 
 impl Outgoing {
@@ -84,8 +73,8 @@ impl Outgoing {
         loop {
             let Err(error) = self.publish();
             let reason = error.to_string();
-            self.tally
-                .warn(&reason, &format!("nothing is published: {reason}"));
+            let text = format!("nothing is published: {reason}");
+            self.shared.warn(&reason, &text);
             thread::sleep(PAUSE);
         }
     }
@@ -94,28 +83,31 @@ impl Outgoing {
     fn publish(&self) -> Result<core::convert::Infallible, ClientError> {
         let own = self.publishers.keys().copied();
         let topics: Vec<_> = own.chain([CONFIGURATION]).collect();
-        let mut stream = MessageStream::open(&self.socket, &topics, SILENCE)?;
+        let mut stream = MessageStream::open(&self.shared.arguments.socket, &topics, SILENCE)?;
         tracing::info!("connected to the daemon");
         warn_of_clocks(stream.clocks);
         self.describe()?;
         loop {
             match stream.receive()? {
-                Received::Missed(count) => self.tally.lock().missed += count,
+                Received::Missed(count) => self.shared.state().counts.missed += count,
                 Received::Message(message) if message.topic == CONFIGURATION => self.describe()?,
                 Received::Message(message) => {
                     let Some((kind, publisher)) = self.publishers.get(message.topic) else {
                         continue;
                     };
-                    let Some(encoded) = self.frames.encode(kind, message.bytes) else {
+                    let Some(encoded) = self.shared.arguments.frames.encode(kind, message.bytes)
+                    else {
                         continue;
                     };
                     match publisher.publish(encoded) {
                         Ok(()) => {}
-                        Err(WriteError::WouldBlock { .. }) => self.tally.lock().held_up += 1,
+                        Err(WriteError::WouldBlock { .. }) => {
+                            self.shared.state().counts.held_up += 1;
+                        }
                         Err(error) => {
                             let error = error.to_string();
-                            self.tally
-                                .warn(&error, &format!("{}: {error}", message.topic));
+                            let text = format!("{}: {error}", message.topic);
+                            self.shared.warn(&error, &text);
                         }
                     }
                 }
@@ -125,13 +117,14 @@ impl Outgoing {
 
     /// Publishes the car of the configuration in force.
     fn describe(&self) -> Result<(), ClientError> {
-        let answer = ask_within(&Request::Configuration {}, &self.socket, SILENCE)?;
+        let Arguments { socket, frames, .. } = &self.shared.arguments;
+        let answer = ask_within(&Request::Configuration {}, socket, SILENCE)?;
         let Some(car) = answer.toml.as_deref().and_then(Car::of) else {
             tracing::warn!("the daemon's configuration has no axles: cmd_vel is refused");
             return Ok(());
         };
-        self.car.set(car);
-        let data = car.urdf(&self.frames.base);
+        self.shared.state().car = Some(car);
+        let data = car.urdf(&frames.base);
         if let Err(error) = self.description.publish(Text { data }) {
             tracing::warn!("robot_description: {error}");
         }
