@@ -46,20 +46,14 @@ pub(crate) struct CameraSession {
 }
 
 fn address(key: &str, text: &str) -> PyResult<Ipv4Addr> {
-    text.parse().map_err(|_| {
-        refuse(format!(
-            "{key} is {text:?}: write an IPv4 address, such as 192.168.1.10"
-        ))
-    })
+    let example = "write an IPv4 address, such as 192.168.1.10";
+    let wrong = |_| refuse(format!("{key} is {text:?}: {example}"));
+    text.parse().map_err(wrong)
 }
 
 fn word<T>(key: &str, word: &str, named: Option<T>, known: &[&str]) -> PyResult<T> {
-    named.ok_or_else(|| {
-        refuse(format!(
-            "{key} is {word:?}: it is one of {}",
-            known.join(", ")
-        ))
-    })
+    let known = known.join(", ");
+    named.ok_or_else(|| refuse(format!("{key} is {word:?}: it is one of {known}")))
 }
 
 /// What a rare event means to an operator; none where it is no news.
@@ -72,14 +66,10 @@ fn note(event: &SessionEvent) -> Option<String> {
         SessionEvent::DatagramsBlocked => {
             "poses come over TCP: none arrive over UDP, which a firewall closes".into()
         }
-        SessionEvent::TransportMismatch { server_multicast } => format!(
-            "the server sends {}: set transport to it",
-            if *server_multicast {
-                "multicast"
-            } else {
-                "unicast"
-            }
-        ),
+        SessionEvent::TransportMismatch { server_multicast } => {
+            let sent = ["unicast", "multicast"][usize::from(*server_multicast)];
+            format!("the server sends {sent}: set transport to it")
+        }
         SessionEvent::DefinitionsUnreadable(error) => {
             format!("a part of the list of bodies can't be read: {error}")
         }
@@ -265,13 +255,10 @@ pub(crate) fn camera_questions(
     let mut natnet = [0; 64];
     let length = encode::client_message(&ClientMessage::Discovery, &mut natnet).map_err(fail)?;
     let natnet = natnet.get(..length).unwrap_or_default();
+    let qualisys = PyBytes::new(py, &discovery(own));
     Ok(vec![
         ("natnet", DEFAULT_COMMAND_PORT, PyBytes::new(py, natnet)),
-        (
-            "qualisys",
-            DISCOVERY_PORT,
-            PyBytes::new(py, &discovery(own)),
-        ),
+        ("qualisys", DISCOVERY_PORT, qualisys),
     ])
 }
 

@@ -9,8 +9,9 @@ use numpy::{
 use pyo3::prelude::*;
 use pythonize::{depythonize, pythonize};
 use singletrack_control::{
-    Axles, FrontPointLaw, LateralMotion, Libm, Motion, Position, RelaxedSingleTrack, SingleTrack,
-    SingleTrackState, Tyres, VehicleParameters, Velocity, VelocityPointLaw,
+    self as control, Axles, FrontPointLaw, LateralMotion, Libm, Motion, Position,
+    RelaxedSingleTrack, SingleTrack, SingleTrackState, Tyres, VehicleParameters, Velocity,
+    VelocityPointLaw,
 };
 
 use crate::setup::{choice, refuse};
@@ -42,18 +43,13 @@ enum Model {
 impl Model {
     fn new(kind: &str, vehicle: &Bound<'_, PyAny>) -> PyResult<Self> {
         let car = parameters(vehicle)?;
-        choice(
-            "model",
-            kind,
-            &[
-                ("linear", Self::Linear(SingleTrack::new(car))),
-                (
-                    "saturating",
-                    Self::Saturating(Axles::new(car, Tyres::Saturating)),
-                ),
-                ("relaxed", Self::Relaxed(RelaxedSingleTrack::new(car))),
-            ],
-        )
+        let saturating = Axles::new(car, Tyres::Saturating);
+        let models = [
+            ("linear", Self::Linear(SingleTrack::new(car))),
+            ("saturating", Self::Saturating(saturating)),
+            ("relaxed", Self::Relaxed(RelaxedSingleTrack::new(car))),
+        ];
+        choice("model", kind, &models)
     }
 
     fn derivative(
@@ -216,13 +212,7 @@ pub(crate) fn point_p(
     front_axle_distance: f64,
     point_distance: f64,
 ) -> (f64, f64) {
-    let centre = Position::new(x, y);
-    let point = singletrack_control::front_point(
-        centre,
-        yaw,
-        steering,
-        front_axle_distance,
-        point_distance,
-    );
+    let (front, centre) = (front_axle_distance, Position::new(x, y));
+    let point = control::front_point(centre, yaw, steering, front, point_distance);
     (point.x, point.y)
 }

@@ -99,17 +99,14 @@ impl Simulator {
 
     /// Requests something of the pilot, with the next tick.
     fn request(&self, request: &str) -> PyResult<()> {
-        let requested = self.laboratory()?.request(request).map_err(refuse)?;
-        requested.map_err(fail)
+        let request = self.laboratory()?.request(request);
+        request.map_err(refuse)?.map_err(fail)
     }
 
     /// Puts another reference in force.
     fn set_reference(&self, py: Python<'_>, toml: &str) -> PyResult<u32> {
         let section = reference(toml).map_err(refuse)?;
-        py.detach(|| {
-            let changed = self.laboratory()?.set_reference(section);
-            changed.map_err(refuse)
-        })
+        py.detach(|| self.laboratory()?.set_reference(section).map_err(refuse))
     }
 
     /// Tunes the pilot, with the next tick.
@@ -165,21 +162,18 @@ impl Simulator {
     /// Loses the markers periodically, such as `200ms@2s` from now on; never with `None`.
     #[pyo3(signature = (pattern))]
     fn marker_loss(&self, pattern: Option<&str>) -> PyResult<()> {
-        let lost = self.laboratory()?.marker_loss(pattern);
-        lost.map_err(refuse)
+        self.laboratory()?.marker_loss(pattern).map_err(refuse)
     }
 
     /// Loses the markers once, from now on, for a duration such as `300ms`.
     fn lose_markers(&self, duration: &str) -> PyResult<()> {
-        let lost = self.laboratory()?.lose_markers(duration);
-        lost.map_err(refuse)
+        self.laboratory()?.lose_markers(duration).map_err(refuse)
     }
 
     /// Sets a fault by its name; `value` is a word or a number.
     fn set_fault(&self, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
         let value: FaultValue = depythonize(value).map_err(refuse)?;
-        let set = self.laboratory()?.set_fault(name, &value);
-        set.map_err(refuse)
+        self.laboratory()?.set_fault(name, &value).map_err(refuse)
     }
 
     /// Presses the board's reset button.
@@ -207,9 +201,8 @@ impl Simulator {
 
 impl Simulator {
     fn laboratory(&self) -> PyResult<MutexGuard<'_, Laboratory>> {
-        self.0
-            .lock()
-            .map_err(|_| fail("the simulation has panicked before"))
+        let panicked = |_| fail("the simulation has panicked before");
+        self.0.lock().map_err(panicked)
     }
 }
 
@@ -259,11 +252,7 @@ impl Fleet {
         for (answer, car) in answers.into_iter().zip(&self.cars.cars) {
             let shown = match answer {
                 Ok((status, _)) => pythonize(py, &status)?,
-                Err(why) => {
-                    let only = PyDict::new(py);
-                    only.set_item("error", why)?;
-                    only.into_any()
-                }
+                Err(why) => [("error", why)].into_py_dict(py)?.into_any(),
             };
             all.set_item(&car.name, shown)?;
         }

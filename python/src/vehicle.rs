@@ -29,46 +29,21 @@ pub(crate) enum Command {
 }
 
 /// A simulated car under commands.
-#[derive(Debug)]
-pub(crate) enum Vehicle {
-    Plant(Box<Plant>),
-    System(Box<System>),
-}
-
-impl Vehicle {
+pub(crate) trait Vehicle: Send {
     /// What the controller knows of the car: its motion alone.
-    pub(crate) fn seen(&self) -> Truth {
-        match self {
-            Self::Plant(plant) => plant.truth,
-            Self::System(system) => system.seen(),
-        }
+    fn seen(&self) -> Truth {
+        self.truth()
     }
 
     /// The ground truth.
-    pub(crate) fn truth(&self) -> Truth {
-        match self {
-            Self::Plant(plant) => plant.truth,
-            Self::System(system) => system.drive.world.truth(),
-        }
-    }
+    fn truth(&self) -> Truth;
 
     /// Drives for one period. Returns whether the car is still driven.
-    pub(crate) fn step(&mut self, command: Command) -> bool {
-        match self {
-            Self::Plant(plant) => {
-                plant.step(command);
-                true
-            }
-            Self::System(system) => system.step(command),
-        }
-    }
+    fn step(&mut self, command: Command) -> bool;
 
     /// Why the drive has ended, if it has.
-    pub(crate) fn reason(&self) -> &'static str {
-        match self {
-            Self::Plant(_) => "",
-            Self::System(system) => system.reason(),
-        }
+    fn reason(&self) -> &'static str {
+        ""
     }
 }
 
@@ -114,22 +89,6 @@ impl Plant {
         Ok(plant)
     }
 
-    fn step(&mut self, command: Command) {
-        let truth = self.truth;
-        let Actuation {
-            speed, steering, ..
-        } = self.actuation(command, &truth);
-        // As the pilot does it: the speed of the rear axle.
-        let rear_speed = speed * libm::cos(truth.sideslip);
-        let steering = self.steering.commanded(steering);
-        self.actuators
-            .drive((rear_speed * 1e3) as i16, (steering * 1e4) as i16);
-        self.actuators
-            .control(PERIOD_US as u32, (truth.wheel_speed.abs() * 1e3) as i16);
-        self.advance();
-        self.truth = self.car.truth();
-    }
-
     /// The command within the limits of the pilot.
     fn actuation(&mut self, command: Command, truth: &Truth) -> Actuation {
         let actuation = match command {
@@ -162,6 +121,29 @@ impl Plant {
     }
 }
 
+impl Vehicle for Plant {
+    fn truth(&self) -> Truth {
+        self.truth
+    }
+
+    fn step(&mut self, command: Command) -> bool {
+        let truth = self.truth;
+        let Actuation {
+            speed, steering, ..
+        } = self.actuation(command, &truth);
+        // As the pilot does it: the speed of the rear axle.
+        let rear_speed = speed * libm::cos(truth.sideslip);
+        let steering = self.steering.commanded(steering);
+        self.actuators
+            .drive((rear_speed * 1e3) as i16, (steering * 1e4) as i16);
+        self.actuators
+            .control(PERIOD_US as u32, (truth.wheel_speed.abs() * 1e3) as i16);
+        self.advance();
+        self.truth = self.car.truth();
+        true
+    }
+}
+
 /// The host and the simulated world, in virtual time.
 #[derive(Debug)]
 pub(crate) struct System {
@@ -184,7 +166,9 @@ impl System {
         let last = drive.start().map_err(SetupError::new)?;
         Ok(Self { drive, last })
     }
+}
 
+impl Vehicle for System {
     fn seen(&self) -> Truth {
         let output = &self.last.tick.output;
         output
@@ -199,6 +183,10 @@ impl System {
                 steering: output.actuation.steering,
                 ..Truth::default()
             })
+    }
+
+    fn truth(&self) -> Truth {
+        self.drive.world.truth()
     }
 
     fn step(&mut self, command: Command) -> bool {
@@ -217,10 +205,7 @@ impl System {
 
     fn reason(&self) -> &'static str {
         let output = &self.last.tick.output;
-        if output.mode == Mode::Driving {
-            ""
-        } else {
-            output.reason.map_or("", |reason| reason.name())
-        }
+        let reason = output.reason.filter(|_| output.mode != Mode::Driving);
+        reason.map_or("", |reason| reason.name())
     }
 }

@@ -14,7 +14,9 @@ use singletrack_control::Start;
 use singletrack_core::Config;
 use singletrack_scenario::laboratory::{Setup, SetupError, TruthRange, reference};
 
-use self::task::{Autoreset, Control, INFORMATION, Instance, Lap, Options, Reward, Task, state};
+use self::task::{
+    Autoreset, Control, INFORMATION, Instance, Lap, Options, Reward, Task, places, state,
+};
 use crate::setup::{choice, refuse};
 
 /// Places of the picture of a reference.
@@ -35,9 +37,10 @@ impl Cars {
     fn rows<'py, const N: usize>(
         &self,
         py: Python<'py>,
-        row: impl Fn(&Instance) -> [f64; N],
+        row: impl Fn(&Task, &Instance) -> [f64; N],
     ) -> Bound<'py, PyArray2<f64>> {
-        let rows: Vec<[f64; N]> = self.instances.iter().map(row).collect();
+        let rows = self.instances.iter().map(|one| row(&self.task, one));
+        let rows: Vec<[f64; N]> = rows.collect();
         PyArray2::from_owned_array(py, Array2::from(rows))
     }
 
@@ -48,10 +51,8 @@ impl Cars {
     ) -> Result<(), SetupError> {
         let task = &self.task;
         let run = |first: usize, chunk: &mut [Instance]| {
-            chunk
-                .iter_mut()
-                .enumerate()
-                .try_for_each(|(index, instance)| each(task, first + index, instance))
+            let mut cars = (first..).zip(chunk);
+            cars.try_for_each(|(index, instance)| each(task, index, instance))
         };
         let threads = self.threads.clamp(1, self.instances.len().max(1));
         if threads == 1 {
@@ -59,17 +60,13 @@ impl Cars {
         }
         let share = self.instances.len().div_ceil(threads);
         thread::scope(|scope| {
-            let workers: Vec<_> = self
-                .instances
-                .chunks_mut(share)
-                .enumerate()
+            let chunks = self.instances.chunks_mut(share).enumerate();
+            let workers = chunks
                 .map(|(number, chunk)| scope.spawn(move || run(number * share, chunk)))
-                .collect();
-            workers.into_iter().try_for_each(|worker| {
-                worker
-                    .join()
-                    .unwrap_or_else(|_| Err(SetupError::new("a simulation has panicked")))
-            })
+                .collect::<Vec<_>>();
+            let panicked = |_| Err(SetupError::new("a simulation has panicked"));
+            let mut workers = workers.into_iter();
+            workers.try_for_each(|worker| worker.join().unwrap_or_else(panicked))
         })
     }
 }
@@ -189,12 +186,7 @@ impl Batch {
         let duration = lap.or_else(|| reference.duration()).unwrap_or_default();
         // The first lap of a path begins at rest.
         let begin = lap.unwrap_or_default();
-        let places: Vec<[f64; 2]> = (0..=PLACES)
-            .filter_map(|index| {
-                let time = begin + duration * index as f64 / PLACES as f64;
-                reference.at(time).position.map(|place| [place.x, place.y])
-            })
-            .collect();
+        let places = places(reference, begin, duration, PLACES);
         Ok(PyArray2::from_owned_array(py, Array2::from(places)))
     }
 
@@ -206,21 +198,17 @@ impl Batch {
         seeds: Vec<Option<u64>>,
         mask: Option<Vec<bool>>,
     ) -> PyResult<Arrays<'py>> {
-        py.detach(|| {
-            self.cars()?
-                .for_each(|task, index, instance| {
-                    if mask
-                        .as_ref()
-                        .is_some_and(|mask| !mask.get(index).copied().unwrap_or(false))
-                    {
-                        return Ok(());
-                    }
-                    if let Some(Some(seed)) = seeds.get(index) {
-                        instance.generator = ChaCha8Rng::seed_from_u64(*seed);
-                    }
-                    task.reset(instance)
-                })
-                .map_err(refuse)
+        self.for_each(py, |task, index, instance| {
+            if mask
+                .as_ref()
+                .is_some_and(|mask| mask.get(index) != Some(&true))
+            {
+                return Ok(());
+            }
+            if let Some(Some(seed)) = seeds.get(index) {
+                instance.generator = ChaCha8Rng::seed_from_u64(*seed);
+            }
+            task.reset(instance)
         })?;
         self.arrays(py)
     }
@@ -231,36 +219,26 @@ impl Batch {
         py: Python<'py>,
         actions: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Arrays<'py>> {
-        let actions: Vec<[f64; 2]> = actions
-            .as_array()
-            .rows()
-            .into_iter()
+        let rows = actions.as_array();
+        let rows = rows.rows().into_iter();
+        let actions: Vec<[f64; 2]> = rows
             .filter_map(|row| Some([*row.first()?, *row.get(1)?]))
             .collect();
-        py.detach(|| {
-            let mut cars = self.cars()?;
-            if actions.len() != cars.instances.len() {
-                return Err(refuse(format!(
-                    "the actions have {} rows of two numbers: {} are needed",
-                    actions.len(),
-                    cars.instances.len()
-                )));
-            }
-            cars.for_each(|task, index, instance| {
-                task.step(instance, actions.get(index).copied().unwrap_or_default())
-            })
-            .map_err(refuse)
+        let (given, needed) = (actions.len(), self.cars()?.instances.len());
+        if given != needed {
+            return Err(refuse(format!(
+                "the actions have {given} rows of two numbers: {needed} are needed"
+            )));
+        }
+        self.for_each(py, |task, index, instance| {
+            task.step(instance, actions.get(index).copied().unwrap_or_default())
         })?;
         self.arrays(py)
     }
 
     /// Steps the only car, without arrays for many.
     fn step_one<'py>(&self, py: Python<'py>, first: f64, second: f64) -> PyResult<One<'py>> {
-        py.detach(|| {
-            let mut cars = self.cars()?;
-            cars.for_each(|task, _, instance| task.step(instance, [first, second]))
-                .map_err(refuse)
-        })?;
+        self.for_each(py, |task, _, instance| task.step(instance, [first, second]))?;
         let cars = self.cars()?;
         let [instance] = cars.instances.as_slice() else {
             return Err(refuse("there is not one car"));
@@ -280,55 +258,36 @@ impl Batch {
     /// The last state and observation of the episodes that ended in the last step and have
     /// been reset in it, by the index of the car.
     fn last<'py>(&self, py: Python<'py>) -> PyResult<Vec<Last<'py>>> {
-        let cars = self.cars()?;
-        Ok(cars
-            .instances
-            .iter()
-            .enumerate()
-            .filter_map(|(index, instance)| {
-                let (state, observation) = instance.outcome.last.as_ref()?;
-                Some((
-                    index,
-                    PyArray1::from_slice(py, state),
-                    PyArray1::from_slice(py, observation),
-                ))
-            })
-            .collect())
+        self.each(|index, instance| {
+            let (state, observation) = instance.outcome.last.as_ref()?;
+            let state = PyArray1::from_slice(py, state);
+            Some((index, state, PyArray1::from_slice(py, observation)))
+        })
     }
 
     /// Why the episodes have ended, by the index of the car.
     fn reasons(&self) -> PyResult<Vec<(usize, &'static str)>> {
-        let cars = self.cars()?;
-        Ok(cars
-            .instances
-            .iter()
-            .enumerate()
-            .filter(|(_, instance)| !instance.outcome.reason.is_empty())
-            .map(|(index, instance)| (index, instance.outcome.reason))
-            .collect())
+        self.each(|index, instance| {
+            let reason = instance.outcome.reason;
+            (!reason.is_empty()).then_some((index, reason))
+        })
     }
 
     /// Steps of each episode so far.
     fn steps(&self) -> PyResult<Vec<u32>> {
-        let cars = self.cars()?;
-        Ok(cars
-            .instances
-            .iter()
-            .map(|instance| instance.steps)
-            .collect())
+        self.each(|_, instance| Some(instance.steps))
     }
 
     /// Ground truth: `pose_x, pose_y, delta, linear_vel_x, pose_theta, ang_vel_z, beta` of each.
     fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let cars = self.cars()?;
-        Ok(cars.rows(py, |instance| state(&instance.truth())))
+        Ok(cars.rows(py, |_, instance| state(&instance.truth())))
     }
 
     /// Position and velocity of the reference at the present of each car: x, y, `v_x`, `v_y`.
     fn reference<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let cars = self.cars()?;
-        Ok(cars.rows(py, |instance| {
-            let at = cars.task.at(instance);
+        Ok(self.cars()?.rows(py, |task, instance| {
+            let at = task.at(instance);
             let position = at.position.unwrap_or_default();
             [position.x, position.y, at.velocity.x, at.velocity.y]
         }))
@@ -336,9 +295,8 @@ impl Batch {
 
     /// P of each car, as it is seen: x, y.
     fn point<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let cars = self.cars()?;
-        Ok(cars.rows(py, |instance| {
-            let point = cars.task.point(&instance.seen());
+        Ok(self.cars()?.rows(py, |task, instance| {
+            let point = task.point(&instance.seen());
             [point.x, point.y]
         }))
     }
@@ -351,6 +309,23 @@ impl Batch {
             .map_err(|_| refuse("a simulation has panicked before"))
     }
 
+    /// Calls `each` for every car, with its index, while other threads of Python run.
+    fn for_each(
+        &self,
+        py: Python<'_>,
+        each: impl Fn(&Task, usize, &mut Instance) -> Result<(), SetupError> + Send + Sync,
+    ) -> PyResult<()> {
+        py.detach(|| self.cars()?.for_each(each).map_err(refuse))
+    }
+
+    /// What `of` finds of each car, with its index.
+    fn each<T>(&self, mut of: impl FnMut(usize, &Instance) -> Option<T>) -> PyResult<Vec<T>> {
+        let cars = self.cars()?;
+        let instances = cars.instances.iter().enumerate();
+        let found = instances.filter_map(|(index, instance)| of(index, instance));
+        Ok(found.collect())
+    }
+
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Arrays<'py>> {
         let cars = self.cars()?;
         let columns = cars.task.columns();
@@ -361,12 +336,12 @@ impl Batch {
         let observation = Array2::from_shape_vec((cars.instances.len(), columns), observation);
         let outcomes = || cars.instances.iter().map(|instance| &instance.outcome);
         Ok((
-            cars.rows(py, |instance| instance.outcome.state),
+            cars.rows(py, |_, instance| instance.outcome.state),
             PyArray2::from_owned_array(py, observation.map_err(refuse)?),
             PyArray1::from_iter(py, outcomes().map(|outcome| outcome.reward)),
             PyArray1::from_iter(py, outcomes().map(|outcome| outcome.terminated)),
             PyArray1::from_iter(py, outcomes().map(|outcome| outcome.truncated)),
-            cars.rows(py, |instance| instance.outcome.information),
+            cars.rows(py, |_, instance| instance.outcome.information),
         ))
     }
 }

@@ -1,7 +1,7 @@
 //! The task of an environment: what is seen, rewarded and ends an episode of one car; a lap of its
 //! reference, for the progress along it.
 
-use std::f64::consts::TAU;
+use std::{f64::consts::TAU, mem::swap};
 
 use pyo3::FromPyObject;
 use rand_chacha::{
@@ -89,7 +89,7 @@ pub(super) struct Task {
 
 /// One car.
 pub(super) struct Instance {
-    pub(super) vehicle: Option<Vehicle>,
+    pub(super) vehicle: Option<Box<dyn Vehicle>>,
     /// The reference of an episode that began at its nearest place.
     pub(super) reference: Option<Box<Reference>>,
     pub(super) generator: ChaCha8Rng,
@@ -136,13 +136,13 @@ impl Instance {
     /// The state as it is seen.
     pub(super) fn seen(&self) -> Truth {
         let vehicle = self.vehicle.as_ref();
-        vehicle.map(Vehicle::seen).unwrap_or_default()
+        vehicle.map_or_else(Truth::default, |vehicle| vehicle.seen())
     }
 
     /// The ground truth.
     pub(super) fn truth(&self) -> Truth {
         let vehicle = self.vehicle.as_ref();
-        vehicle.map(Vehicle::truth).unwrap_or_default()
+        vehicle.map_or_else(Truth::default, |vehicle| vehicle.truth())
     }
 }
 
@@ -216,20 +216,15 @@ impl Task {
         let course = if way.norm() > 0.0 { way } else { at.velocity };
         let mut draw = |most: f64| most * (2.0 * uniform(&mut instance.generator) - 1.0);
         let [position_error, yaw_error] = self.options.start_error;
-        let point = [
-            begin.x + draw(position_error),
-            begin.y + draw(position_error),
-        ];
+        let point = [begin.x, begin.y].map(|value| value + draw(position_error));
         let yaw = libm::atan2(course.y, course.x) + draw(yaw_error);
         let drawn = self.drawn(|| uniform(&mut instance.generator));
         let seed = instance.generator.next_u64();
-        let simulation = self
-            .setup
-            .simulation(seed, self.setup.start(point, yaw), &drawn)?;
-        instance.vehicle = Some(if self.options.whole_system {
-            Vehicle::System(Box::new(System::new(&self.setup, simulation, seed)?))
-        } else {
-            Vehicle::Plant(Box::new(Plant::new(&self.setup, &simulation)?))
+        let start = self.setup.start(point, yaw);
+        let simulation = self.setup.simulation(seed, start, &drawn)?;
+        instance.vehicle = Some(match self.options.whole_system {
+            true => Box::new(System::new(&self.setup, simulation, seed)?),
+            false => Box::new(Plant::new(&self.setup, &simulation)?),
         });
         instance.reference = self.nearest.then(|| {
             let mut reference = Box::new(self.reference.clone());
@@ -269,11 +264,10 @@ impl Task {
         let limits = &self.setup.config.limits;
         let command = match self.control {
             Control::SteeringSpeed | Control::SpeedSteering => {
-                let [first, second] = action;
-                let (steering, speed) = match self.control {
-                    Control::SpeedSteering => (second, first),
-                    _ => (first, second),
-                };
+                let [mut steering, mut speed] = action;
+                if self.control == Control::SpeedSteering {
+                    swap(&mut steering, &mut speed);
+                }
                 let most = limits.max_steering_rad;
                 Command::Actuate([
                     steering.clamp(-most, most),
@@ -282,11 +276,8 @@ impl Task {
             }
             Control::PointVelocity => Command::PointVelocity(action),
         };
-        let Some(vehicle) = &mut instance.vehicle else {
-            return Err(SetupError::new(
-                "reset the environment before the first step",
-            ));
-        };
+        let unset = || SetupError::new("reset the environment before the first step");
+        let vehicle = instance.vehicle.as_mut().ok_or_else(unset)?;
         let drives = (0..self.options.periods).all(|_| vehicle.step(command));
         let reason = vehicle.reason();
         let truth = vehicle.truth();
@@ -294,8 +285,7 @@ impl Task {
         let before = instance.place;
         let point = self.point(&truth);
         let place = [point.x, point.y];
-        let mut distance = 0.0;
-        let mut progress = 0.0;
+        let (mut distance, mut progress) = (0.0, 0.0);
         if let Some(lap) = &self.lap {
             let (nearest, off) = lap.nearest(place, before);
             instance.place = nearest;
@@ -308,11 +298,8 @@ impl Task {
         {
             distance = (wanted - point).norm();
         }
-        let change = [
-            action[0] - instance.action[0],
-            action[1] - instance.action[1],
-        ];
-        let effort = 0.05 * (change[0] * change[0] + change[1] * change[1]);
+        let change = |index: usize| action[index] - instance.action[index];
+        let effort = 0.05 * (change(0) * change(0) + change(1) * change(1));
         let reward = match self.reward {
             Reward::Tracking => libm::exp(-distance / 0.1) - effort,
             Reward::Progress => {
@@ -329,11 +316,8 @@ impl Task {
             !outcome.terminated && (instance.steps >= self.options.max_steps || ended_way);
         outcome.reward = if outcome.terminated { -10.0 } else { reward };
         outcome.information = [distance, progress, truth.speed];
-        outcome.reason = if drives && outcome.terminated {
-            "lost"
-        } else {
-            reason
-        };
+        let is_lost = drives && outcome.terminated;
+        outcome.reason = if is_lost { "lost" } else { reason };
         instance.ended = outcome.terminated || outcome.truncated;
         if instance.ended && self.autoreset == Autoreset::SameStep {
             let ended = outcome.clone();
@@ -389,6 +373,18 @@ fn uniform(generator: &mut ChaCha8Rng) -> f64 {
     (generator.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
+/// The places of a reference from a time on, for a duration that is cut into such a number of parts.
+pub(super) fn places(
+    reference: &Reference,
+    start: f64,
+    duration: f64,
+    parts: usize,
+) -> Vec<[f64; 2]> {
+    let times = (0..=parts).map(|index| start + duration * index as f64 / parts as f64);
+    let places = times.filter_map(|time| reference.at(time).position);
+    places.map(|place| [place.x, place.y]).collect()
+}
+
 /// Points of a lap.
 const LAP_POINTS: usize = 1_000;
 /// How far ahead of the last place on the lap the next one is searched, in points.
@@ -414,12 +410,7 @@ impl Lap {
             }
             other => (0.0, other.duration()?, false),
         };
-        let points: Vec<[f64; 2]> = (0..=LAP_POINTS)
-            .filter_map(|index| {
-                let time = start + duration * index as f64 / LAP_POINTS as f64;
-                reference.at(time).position.map(|point| [point.x, point.y])
-            })
-            .collect();
+        let points = places(reference, start, duration, LAP_POINTS);
         let mut sum = 0.0;
         let mut way = vec![0.0];
         for pair in points.windows(2) {
@@ -434,10 +425,6 @@ impl Lap {
             duration,
             closed,
         })
-    }
-
-    fn length(&self) -> f64 {
-        self.way.last().copied().unwrap_or_default()
     }
 
     /// The time on the reference at a place.
@@ -480,13 +467,11 @@ impl Lap {
     pub(super) fn between(&self, from: usize, to: usize) -> f64 {
         let at = |index: usize| self.way.get(index).copied().unwrap_or_default();
         let way = at(to) - at(from);
-        let length = self.length();
-        if self.closed && way > length / 2.0 {
-            way - length
-        } else if self.closed && way < -length / 2.0 {
-            way + length
-        } else {
-            way
+        let length = self.way.last().copied().unwrap_or_default();
+        match self.closed {
+            true if way > length / 2.0 => way - length,
+            true if way < -length / 2.0 => way + length,
+            _ => way,
         }
     }
 }
