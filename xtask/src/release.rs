@@ -12,10 +12,7 @@ use crate::{
     process::{Result, check, command, failure, require, text},
     programs::{INSTALLED, NODE, PUBLISHED, Packages, check_published},
     python,
-    step::{
-        Scope::{All, Always},
-        Step, demo_s, row, run_all,
-    },
+    step::{ALL, ALWAYS, Step, demo_s, row, run_all},
     web,
     workspace::{emptied, put, root, script, target, write},
 };
@@ -43,18 +40,18 @@ const ARCHITECTURES: [&str; 3] = ["amd64", "arm64", "armhf"];
 /// What is made, in order. The image is made of a Debian package.
 #[rustfmt::skip]
 const STEPS: [Step; 8] = [
-    row("notes", 0.03, Always, "release notes, and the licences of all libraries", write_notes),
-    row("crates", 0.21, All, "the packages of crates.io, in their order", crates),
-    row("book", 2.9, All, "the site, with the laboratory",
+    row("notes", 0.03, ALWAYS, "release notes, and the licences of all libraries", write_notes),
+    row("crates", 0.21, ALL, "the packages of crates.io, in their order", crates),
+    row("book", 2.9, ALL, "the site, with the laboratory",
         |_| run("book", web::build_published()?)),
-    row("debian", 14.2, All, "the Debian packages", debian),
-    row("drive", 4.5, All,
+    row("debian", 14.2, ALL, "the Debian packages", debian),
+    row("drive", 4.5, ALL,
         "the packaged daemon drives a simulated board; optimised here and for the Odroid, the bits are the same",
         drive),
-    row("image", 0.16, All, "the container image of the simulator",
+    row("image", 0.16, ALL, "the container image of the simulator",
         |_| run("image", ARCHITECTURES[0])),
-    row("wheels", 5.3, All, "the Python package", |_| python::make_wheels(&folder()?)),
-    row("checksums", 0.03, Always, "SHA256SUMS", |_| run("checksums", "")),
+    row("wheels", 5.3, ALL, "the Python package", |_| python::make_wheels(&folder()?)),
+    row("checksums", 0.03, ALWAYS, "SHA256SUMS", |_| run("checksums", "")),
 ];
 
 /// What a command line asks for.
@@ -99,7 +96,7 @@ pub(crate) fn parse(arguments: &[String]) -> Result<Plan<'_>> {
     }
     for name in &plan.without {
         let mut steps = STEPS.iter();
-        let known = steps.any(|step| step.scope == All && step.name == *name);
+        let known = steps.any(|step| step.needs == ALL && step.name == *name);
         require!(known, "--without {name:?} is no such step\n\n{USAGE}");
     }
     let is_whole = plan.tag.is_none() || plan.without.is_empty();

@@ -20,34 +20,30 @@ pub(crate) struct Step {
     /// Processor time that it may take from nothing, as a multiple of that of `cargo demo` from nothing
     /// on the same machine.
     pub(crate) budget: f64,
-    pub(crate) scope: Scope,
+    /// [`ALWAYS`], [`ALL`], or an optional part.
+    pub(crate) needs: &'static str,
     pub(crate) what: &'static str,
     pub(crate) run: fn(&Packages) -> Result,
 }
 
-/// Which command a step belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Scope {
-    /// `cargo verify`: it needs nothing but Rust and a C compiler.
-    Always,
-    /// `cargo verify --all` alone.
-    All,
-    /// `cargo verify --all` alone, and an optional part of it.
-    Of(&'static str),
-}
+/// What a step of `cargo verify` needs: nothing but Rust and a C compiler. The others are steps of
+/// `cargo verify --all` alone.
+pub(crate) const ALWAYS: &str = "";
+/// What a step needs that belongs to no optional part.
+pub(crate) const ALL: &str = "all";
 
 /// A step as a row of a table.
 pub(crate) const fn row(
     name: &'static str,
     budget: f64,
-    scope: Scope,
+    needs: &'static str,
     what: &'static str,
     run: fn(&Packages) -> Result,
 ) -> Step {
     Step {
         name,
         budget,
-        scope,
+        needs,
         what,
         run,
     }
@@ -192,7 +188,7 @@ mod tests {
         let step = |name, run| Step {
             name,
             budget: 1.0,
-            scope: Scope::Always,
+            needs: ALWAYS,
             what: "",
             run,
         };
@@ -214,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_check_that_was_not_valid_ends_no_other_and_is_named() {
-        let step = |name, run| row(name, 1.0, Scope::Always, "", run);
+        let step = |name, run| row(name, 1.0, ALWAYS, "", run);
         let steps = [
             step("busy", |_| {
                 let (text, status) = ("late".to_owned(), NOT_VALID);
@@ -233,7 +229,7 @@ mod tests {
 
     #[test]
     fn a_step_half_over_its_budget_is_named() {
-        let step = |name| row(name, 0.1, Scope::Always, "", |_| Ok(()));
+        let step = |name| row(name, 0.1, ALWAYS, "", |_| Ok(()));
         let (near, far) = (step("near"), step("far"));
         let wall = Duration::from_secs(1);
         let costs = [(&near, wall, 14.9), (&far, wall, 15.1)];

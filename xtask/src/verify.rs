@@ -8,10 +8,7 @@ use crate::{
     process::{Result, check, failure, require},
     programs::{Packages, check_published},
     python,
-    step::{
-        Scope::{All, Always, Of},
-        Step, demo_s, row, run_all,
-    },
+    step::{ALL, ALWAYS, Step, demo_s, row, run_all},
     uno, web,
     workspace::{adopt, cargo, script, target},
 };
@@ -42,11 +39,8 @@ struct Selection {
 /// The options, and the steps.
 pub(crate) fn usage() -> String {
     let steps = STEPS.map(|step| {
-        let (mark, part) = match step.scope {
-            Always => (' ', ""),
-            All => ('+', ""),
-            Of(part) => ('+', part),
-        };
+        let mark = if step.needs == ALWAYS { ' ' } else { '+' };
+        let part = if step.needs == ALL { "" } else { step.needs };
         format!("{mark} {:14} {part:8} {}\n", step.name, step.what)
     });
     let of_steps = "Steps, those of --all alone with a +, and the part that each belongs to:";
@@ -83,7 +77,7 @@ fn parse(arguments: &[String]) -> Result<Selection> {
         let (is_part, known) = (PARTS.contains(name), PARTS.join(", "));
         require!(is_part, "--without {name:?}: the parts are {known}");
     }
-    let is_skipped = |step: &Step| matches!(step.scope, Of(part) if without.contains(&part));
+    let is_skipped = |step: &Step| without.contains(&step.needs);
     for name in &names {
         let unknown = || failure!("unknown step {name:?}; `cargo verify --help` lists the steps");
         let step = STEPS.iter().find(|step| step.name == *name);
@@ -94,16 +88,16 @@ fn parse(arguments: &[String]) -> Result<Selection> {
     let is_whole = is_all || !is_named && !without.is_empty();
     let chosen = STEPS.into_iter().filter(|step| match is_named {
         true => step.name == PREREQUISITES || names.contains(&step.name),
-        false => (is_whole || step.scope == Always) && !is_skipped(step),
+        false => (is_whole || step.needs == ALWAYS) && !is_skipped(step),
     });
     let chosen: Vec<Step> = chosen.collect();
     // Named steps need the parts that they belong to, and no other.
     let parts = PARTS.into_iter().filter(|part| match is_whole {
         true => !without.contains(part),
-        false => chosen.iter().any(|step| step.scope == Of(part)),
+        false => chosen.iter().any(|step| step.needs == *part),
     });
     // More packages than the default ones if a step needs more.
-    let packages = match is_whole || chosen.iter().any(|step| step.scope != Always) {
+    let packages = match is_whole || chosen.iter().any(|step| step.needs != ALWAYS) {
         true => Packages::AllWith(parts.collect()),
         false => Packages::Default,
     };
@@ -118,95 +112,95 @@ fn parse(arguments: &[String]) -> Result<Selection> {
 #[rustfmt::skip]
 const STEPS: [Step; 30] = [
     // Static checks.
-    row(PREREQUISITES, 0.02, Always, "the machine has what the steps need", |packages| {
+    row(PREREQUISITES, 0.02, ALWAYS, "the machine has what the steps need", |packages| {
         let parts = PARTS.into_iter().filter(|part| packages.has(part));
         prerequisites::ensure(["base"].into_iter().chain(parts))
     }),
     // The image is not a member of the workspace.
-    row("format", 0.02, Always, "the code is formatted", |_| check(&mut cargo("fmt --all --check"))
+    row("format", 0.02, ALWAYS, "the code is formatted", |_| check(&mut cargo("fmt --all --check"))
         .and_then(|()| check(cargo("fmt --check").current_dir(uno::folder())))),
-    row("compile", 3.3, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
-    row("lints-uno", 0.18, Of("uno"), "no warning in the Arduino's image", |_| uno::lint()),
-    row("packages", 0.18, All, "packages build alone, and those for others can be packed",
+    row("compile", 3.3, ALWAYS, "no warning from compiler, clippy and rustdoc", Packages::compile),
+    row("lints-uno", 0.18, "uno", "no warning in the Arduino's image", |_| uno::lint()),
+    row("packages", 0.18, ALL, "packages build alone, and those for others can be packed",
         // In the workspace's build, a package has the features that all others ask for, which hides missing
         // ones. Without the others: packages without I/O, and those that are published. What `cargo demo`
         // builds is built for the Odroid.
         |_| check(&mut cargo("check --quiet --package singletrack-protocol --package singletrack-board \
             --package singletrack-pilot --package singletrack-link")).and_then(|()| check_published())),
-    row("units", 0.01, Of("units"),
+    row("units", 0.01, "units",
         "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| check(script("xtask/src/units.sh").arg(target()?.join("units")))),
     // Checks of the programs in virtual time.
-    row("tests", 2.4, Always, "unit, property and virtual-time tests, examples of the documentation",
+    row("tests", 2.4, ALWAYS, "unit, property and virtual-time tests, examples of the documentation",
         |packages| packages.check_with_image(&mut packages.tests(match packages {
             Packages::Default => "-- --skip thorough::",
             Packages::AllWith(_) => "",
         })?)),
-    row("faults", 0.21, Always, "random faults in virtual time violate no invariant",
+    row("faults", 0.21, ALWAYS, "random faults in virtual time violate no invariant",
         |packages| check(&mut packages.program(match packages {
             Packages::Default => "singletrack-faults --count 60",
             Packages::AllWith(_) => "singletrack-faults --count 200",
         })?)),
-    row("tutorial", 0.02, Always, "the commands of the tutorial are accepted and run",
+    row("tutorial", 0.02, ALWAYS, "the commands of the tutorial are accepted and run",
         |packages| check(&mut packages.tests("--test book -- tutorial")?)),
-    row("real-logs", 0.01, Always,
+    row("real-logs", 0.01, ALWAYS,
         "the logs of a real car: what would have stopped it, and the errors of the estimate",
         real_logs),
-    row("uno", 0.02, Of("uno"),
+    row("uno", 0.02, "uno",
         "the Arduino's image has no miscompiled code and stays within its budgets",
         |packages| uno::check_image(&packages.image()?, 0, &mut packages.program("uno-figures")?)),
-    row("tests-uno", 0.17, Of("uno"),
+    row("tests-uno", 0.17, "uno",
         "the tests and random faults of the Arduino's image, in its simulator", |packages| {
         packages.check_with_image(&mut packages.tests("--test uno --")?)?;
         packages.check_with_image(&mut packages.program("singletrack-faults --count 8 --board uno")?)
     }),
-    row("exploration", 0.08, All, "no interleaving of board, link and supervisor violates a claim",
+    row("exploration", 0.08, ALL, "no interleaving of board, link and supervisor violates a claim",
         |packages| check(&mut packages.program("singletrack-exploration --states 9000")?)),
-    row("onboard", 0.16, All,
+    row("onboard", 0.16, ALL,
         "cars of all kinds come from the parts to the circle, led by the three procedures",
         |packages| check(&mut packages.program("singletrack-onboard --count 3")?)),
-    row("readers", 0.08, Of("readers"),
+    row("readers", 0.08, "readers",
         "independent readers agree on the contents of a record and of a repaired one",
         python::check_readers),
-    row("slurm", 0.05, Of("slurm"), "campaigns as job arrays of Slurm give what one process gives",
+    row("slurm", 0.05, "slurm", "campaigns as job arrays of Slurm give what one process gives",
         // A Slurm that is installed does not count.
         |packages| check(script("tests/slurm/job-array.sh").arg(packages.path("")?)
             .env_remove("SLURM_CONF"))),
-    row("certificates", 0.17, Of("python"),
+    row("certificates", 0.17, "python",
         "independent programs accept the proofs of stability and of the safety filter, and no changed one",
         |packages| check(script("lab/certificates/check.sh")
             .arg(packages.path("singletrack-lab")?)
             .arg(target()?.join("certificates")))),
-    row("book", 0.33, All, "the commands of all pages are accepted by their programs, and most are run",
+    row("book", 0.33, ALL, "the commands of all pages are accepted by their programs, and most are run",
         |packages| check(&mut packages.tests("--test book --")?)),
-    row("release", 0.22, All, "what computes gives the same bits, optimised as in a release, as tested",
+    row("release", 0.22, ALL, "what computes gives the same bits, optimised as in a release, as tested",
         odroid::compare_optimised),
-    row("debian", 0.15, Of("debian"),
+    row("debian", 0.15, "debian",
         "this machine's Debian package is clean by lintian, complete, and its programs run",
         deb::verify),
-    row("odroid", 1.4, Of("odroid"),
+    row("odroid", 1.4, "odroid",
         "the daemon compiles for the Odroid, and what computes gives the same bits there", odroid::verify),
-    row("web", 1.05, Of("web"),
+    row("web", 1.05, "web",
         "the laboratory in a browser has the same bits, in Node and in Chromium", web::verify),
-    row("python", 0.34, Of("python"),
+    row("python", 0.34, "python",
         "the Python package drives the simulator and the daemon on both boards",
         python::check_package),
     // Checks in real time.
-    row("hil", 0.62, Always, "hardware in the loop: the daemon against the simulated board",
+    row("hil", 0.62, ALWAYS, "hardware in the loop: the daemon against the simulated board",
         |packages| check(&mut suite(packages, "--board native")?)),
-    row("hil-uno", 0.41, Of("uno"), "the same against the Arduino's image",
+    row("hil-uno", 0.41, "uno", "the same against the Arduino's image",
         |packages| packages.check_with_image(&mut suite(packages, "--board uno")?)),
-    row("two-computers", 0.02, All,
+    row("two-computers", 0.02, ALL,
         "the cars of two computers start together, and stop when their network is cut",
         |packages| two_computers(packages, &[])),
-    row("zenoh", 0.02, Of("zenoh"), "the same by way of a zenoh router, which is killed as well",
+    row("zenoh", 0.02, "zenoh", "the same by way of a zenoh router, which is killed as well",
         |packages| two_computers(packages, &["--zenoh"])),
-    row("octave", 0.02, Of("octave"), "the example for MATLAB drives the car over TCP, in Octave",
+    row("octave", 0.02, "octave", "the example for MATLAB drives the car over TCP, in Octave",
         |packages| check(&mut suite(packages, "--board native --octave in_octave")?)),
-    row("browser", 0.03, Of("browser"),
+    row("browser", 0.03, "browser",
         "the page shows a drive in Chromium, at a desk and on a telephone",
         |packages| check(&mut suite(packages, "--board native --browser in_a_browser")?)),
-    row("ros", 0.22, Of("ros"), "a node of ROS 2 in Python reads the car and drives it",
+    row("ros", 0.22, "ros", "a node of ROS 2 in Python reads the car and drives it",
         python::check_node),
 ];
 
@@ -290,12 +284,9 @@ mod tests {
     #[test]
     fn without_options_nothing_is_checked_that_needs_more_than_rust_and_a_c_compiler() {
         for step in STEPS {
-            assert!(
-                !matches!(step.scope, Of(part) if !PARTS.contains(&part)),
-                "{}",
-                step.name
-            );
-            assert_eq!(chosen("").contains(&step.name), step.scope == Always);
+            let known = PARTS.contains(&step.needs) || [ALWAYS, ALL].contains(&step.needs);
+            assert!(known, "{}", step.name);
+            assert_eq!(chosen("").contains(&step.name), step.needs == ALWAYS);
             assert!(chosen("--all").contains(&step.name), "{}", step.name);
         }
         assert_eq!(parsed("").unwrap().packages, Packages::Default);
@@ -308,7 +299,7 @@ mod tests {
     fn the_steps_stay_within_the_processor_time_of_both_commands() {
         let all: f64 = STEPS.iter().map(|step| step.budget).sum();
         assert!(all <= 12.0, "{all}");
-        let always = STEPS.iter().filter(|step| step.scope == Always);
+        let always = STEPS.iter().filter(|step| step.needs == ALWAYS);
         let always: f64 = always.map(|step| step.budget).sum();
         assert!(always <= 6.61, "{always}");
     }
