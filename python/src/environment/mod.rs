@@ -8,15 +8,13 @@ use std::{
 };
 
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
-use pyo3::prelude::*;
+use pyo3::{prelude::*, types::PyTuple};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use singletrack_control::Start;
 use singletrack_core::Config;
 use singletrack_scenario::laboratory::{Setup, SetupError, TruthRange, reference};
 
-use self::task::{
-    Autoreset, Control, INFORMATION, Instance, Lap, Options, Reward, Task, places, state,
-};
+use self::task::{Autoreset, Control, Instance, Lap, Options, Reward, Task, places, state};
 use crate::setup::{choice, refuse};
 
 /// Places of the picture of a reference.
@@ -70,27 +68,6 @@ impl Cars {
         })
     }
 }
-
-/// `(state, observation, reward, terminated, truncated, information)`.
-type Arrays<'py> = (
-    Bound<'py, PyArray2<f64>>,
-    Bound<'py, PyArray2<f32>>,
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyArray1<bool>>,
-    Bound<'py, PyArray1<bool>>,
-    Bound<'py, PyArray2<f64>>,
-);
-
-/// `(state, observation, reward, terminated, truncated, information, reason)` of one car.
-type One<'py> = (
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyArray1<f32>>,
-    f64,
-    bool,
-    bool,
-    [f64; INFORMATION],
-    &'static str,
-);
 
 /// Index of a car, its state and its observation.
 type Last<'py> = (usize, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f32>>);
@@ -197,7 +174,7 @@ impl Batch {
         py: Python<'py>,
         seeds: Vec<Option<u64>>,
         mask: Option<Vec<bool>>,
-    ) -> PyResult<Arrays<'py>> {
+    ) -> PyResult<Bound<'py, PyTuple>> {
         self.for_each(py, |task, index, instance| {
             if mask
                 .as_ref()
@@ -218,7 +195,7 @@ impl Batch {
         &self,
         py: Python<'py>,
         actions: PyReadonlyArray2<'py, f64>,
-    ) -> PyResult<Arrays<'py>> {
+    ) -> PyResult<Bound<'py, PyTuple>> {
         let rows = actions.as_array();
         let rows = rows.rows().into_iter();
         let actions: Vec<[f64; 2]> = rows
@@ -236,15 +213,20 @@ impl Batch {
         self.arrays(py)
     }
 
-    /// Steps the only car, without arrays for many.
-    fn step_one<'py>(&self, py: Python<'py>, first: f64, second: f64) -> PyResult<One<'py>> {
+    /// Steps the only car, without arrays for many: as [`arrays`](Self::arrays), and the reason.
+    fn step_one<'py>(
+        &self,
+        py: Python<'py>,
+        first: f64,
+        second: f64,
+    ) -> PyResult<Bound<'py, PyTuple>> {
         self.for_each(py, |task, _, instance| task.step(instance, [first, second]))?;
         let cars = self.cars()?;
         let [instance] = cars.instances.as_slice() else {
             return Err(refuse("there is not one car"));
         };
         let outcome = &instance.outcome;
-        Ok((
+        let one = (
             PyArray1::from_slice(py, &outcome.state),
             PyArray1::from_slice(py, &outcome.observation),
             outcome.reward,
@@ -252,7 +234,8 @@ impl Batch {
             outcome.truncated,
             outcome.information,
             outcome.reason,
-        ))
+        );
+        one.into_pyobject(py)
     }
 
     /// The last state and observation of the episodes that ended in the last step and have
@@ -326,23 +309,25 @@ impl Batch {
         Ok(found.collect())
     }
 
-    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Arrays<'py>> {
+    /// `(state, observation, reward, terminated, truncated, information)` of all cars.
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let cars = self.cars()?;
-        let columns = cars.task.columns();
-        let mut observation = Vec::with_capacity(cars.instances.len() * columns);
-        for instance in &cars.instances {
-            observation.extend_from_slice(&instance.outcome.observation);
-        }
-        let observation = Array2::from_shape_vec((cars.instances.len(), columns), observation);
         let outcomes = || cars.instances.iter().map(|instance| &instance.outcome);
-        Ok((
+        let seen: Vec<f32> = outcomes()
+            .flat_map(|one| &one.observation)
+            .copied()
+            .collect();
+        let shape = (cars.instances.len(), cars.task.columns());
+        let observation = Array2::from_shape_vec(shape, seen).map_err(refuse)?;
+        let arrays = (
             cars.rows(py, |_, instance| instance.outcome.state),
-            PyArray2::from_owned_array(py, observation.map_err(refuse)?),
+            PyArray2::from_owned_array(py, observation),
             PyArray1::from_iter(py, outcomes().map(|outcome| outcome.reward)),
             PyArray1::from_iter(py, outcomes().map(|outcome| outcome.terminated)),
             PyArray1::from_iter(py, outcomes().map(|outcome| outcome.truncated)),
             cars.rows(py, |_, instance| instance.outcome.information),
-        ))
+        );
+        arrays.into_pyobject(py)
     }
 }
 

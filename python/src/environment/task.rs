@@ -21,7 +21,7 @@ const HEAD: usize = 6;
 /// Columns of an observation for each previewed point of the reference.
 const PREVIEW: usize = 4;
 /// Columns of the information on a step.
-pub(super) const INFORMATION: usize = 3;
+const INFORMATION: usize = 3;
 
 /// What a car is rewarded for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
