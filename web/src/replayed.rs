@@ -33,10 +33,8 @@ pub(crate) fn replay(record: Vec<u8>) -> Result<Vec<u8>, Box<dyn Error>> {
                     different += 1;
                     first.get_or_insert_with(|| {
                         let fields = tick.differences(&output).into_iter();
-                        (
-                            tick.index,
-                            fields.map(|it| it.to_string()).collect::<Vec<_>>(),
-                        )
+                        let fields: Vec<_> = fields.map(|it| it.to_string()).collect();
+                        (tick.index, fields)
                     });
                 }
                 digest.add(&tick);

@@ -104,10 +104,8 @@ impl Session {
                     ..RunOptions::default()
                 };
                 let digest = simulate_with(&scenario(&toml)?, options)?.digest;
-                return Ok(digest
-                    .ok_or(SimulateError::NoPilot("no digest"))?
-                    .to_string()
-                    .into());
+                let digest = digest.ok_or(SimulateError::NoPilot("no digest"))?;
+                return Ok(digest.to_string().into());
             }
             Request::Keys { toml } => return reply(&toml.parse::<Table>()?),
             Request::Change { toml, keys } => return change(&toml, &keys),

@@ -46,21 +46,14 @@ pub(crate) fn map(steady: &Steady) -> Result<Value, Box<dyn Error>> {
     vehicle.validate()?;
     let (law, belief) = (Law::FrontPoint, Belief::FrontAxle);
     let closed = ClosedLoop::new(vehicle, law, p, speed, deviation)?.believing(belief);
-    let eigenvalues: Vec<_> = closed
-        .eigenvalues()
-        .iter()
-        .map(|it| [it.re, it.im])
-        .collect();
+    let eigenvalues = closed.eigenvalues();
+    let eigenvalues: Vec<_> = eigenvalues.iter().map(|it| [it.re, it.im]).collect();
     let mut hopf = Vec::new();
     for index in 1..=SPEEDS {
         let speed = steady.largest_speed_m_s * f64::from(index) / f64::from(SPEEDS);
         let points = hopf_points(vehicle, law, belief, p, speed)?;
-        hopf.extend(
-            points
-                .iter()
-                .filter(|it| it.ends_stability())
-                .map(|it| [it.deviation, speed]),
-        );
+        let ends = points.iter().filter(|it| it.ends_stability());
+        hopf.extend(ends.map(|it| [it.deviation, speed]));
     }
     let servo = Servo {
         lag: 0.04,

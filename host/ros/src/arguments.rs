@@ -50,17 +50,17 @@ pub(crate) struct Arguments {
 impl Arguments {
     /// The domain, with `environment` as the value of `ROS_DOMAIN_ID`.
     pub(crate) fn domain(&self, environment: Option<&str>) -> Result<u16, String> {
-        match (self.domain, environment) {
-            (Some(domain), _) => Ok(domain),
-            (None, None | Some("")) => Ok(0),
-            (None, Some(text)) => text
-                .parse()
-                .ok()
-                .filter(|&domain| i64::from(domain) <= LAST_DOMAIN)
-                .ok_or_else(|| {
-                    format!("ROS_DOMAIN_ID is {text:?}: give a number up to {LAST_DOMAIN}")
-                }),
-        }
+        let text = match (self.domain, environment) {
+            (Some(domain), _) => return Ok(domain),
+            (None, None | Some("")) => return Ok(0),
+            (None, Some(text)) => text,
+        };
+        let domain = text
+            .parse()
+            .ok()
+            .filter(|&it: &u16| i64::from(it) <= LAST_DOMAIN);
+        domain
+            .ok_or_else(|| format!("ROS_DOMAIN_ID is {text:?}: give a number up to {LAST_DOMAIN}"))
     }
 
     pub(crate) const fn max_age(&self) -> Duration {

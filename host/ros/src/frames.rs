@@ -62,11 +62,8 @@ impl Frames {
                 if kind == "Odometry" {
                     copy.frame()?;
                 }
-                let align = if kind == "AckermannDriveStamped" {
-                    4
-                } else {
-                    8
-                };
+                let is_short = kind == "AckermannDriveStamped";
+                let align = if is_short { 4 } else { 8 };
                 let read = copy.read.next_multiple_of(align);
                 copy.bytes(copy.from.len().checked_sub(read)?, align)?;
             }

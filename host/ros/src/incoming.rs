@@ -44,13 +44,13 @@ pub(crate) fn start(node: &mut Node, shared: &Arc<Shared>) -> Result<(), String>
     })?;
     let topic = ("cmd_vel", twist, NEWEST);
     take(node, &way, topic, |way, message, arrival| {
-        ignored_of_twist(message).for_each(|text| way.shared.warn_once(text));
+        way.shared.warn_once(ignored_of_twist(message));
         let car = way.shared.state().car;
         way.judge.twist(message, car, arrival)
     })?;
     let topic = ("drive", ("ackermann_msgs", "AckermannDriveStamped"), NEWEST);
     take(node, &way, topic, |way, message, arrival| {
-        ignored_of_drive(message).for_each(|text| way.shared.warn_once(text));
+        way.shared.warn_once(ignored_of_drive(message));
         way.judge.drive(message, arrival)
     })?;
     let topic = ("path", ("nav_msgs", "Path"), ONCE);

@@ -14,11 +14,7 @@ use socket2::{Domain, SockFilter, SockRef, Type};
 
 /// The addresses of the interfaces that are used: that of loopback if none is given.
 pub(crate) fn networks(interfaces: &[IpAddr]) -> Vec<IpAddr> {
-    let loopback = IpAddr::from(Ipv4Addr::LOCALHOST);
-    [loopback]
-        .into_iter()
-        .chain(interfaces.iter().copied())
-        .collect()
+    [&[IpAddr::from(Ipv4Addr::LOCALHOST)], interfaces].concat()
 }
 
 /// Drops what comes from elsewhere, on every UDP socket of this process.

@@ -1,6 +1,6 @@
 //! The node: its name, its qualities of service, and the threads on which it works.
 
-use std::{io, thread};
+use std::thread;
 
 use futures::executor::block_on;
 use ros2_client::{
@@ -74,9 +74,8 @@ impl Node {
         qos: QosProfile,
     ) -> Result<Publisher<M>, String> {
         let topic = self.topic(topic, kind, &qos)?;
-        self.node
-            .create_publisher(&topic, Some(qos))
-            .map_err(network)
+        let publisher = self.node.create_publisher(&topic, Some(qos));
+        publisher.map_err(network)
     }
 
     /// A subscription to the newest message.
@@ -88,9 +87,8 @@ impl Node {
     ) -> Result<Subscription<M>, String> {
         let qos = qos(reliability, 1);
         let topic = self.topic(topic, kind, &qos)?;
-        self.node
-            .create_subscription(&topic, Some(qos))
-            .map_err(network)
+        let subscription = self.node.create_subscription(&topic, Some(qos));
+        subscription.map_err(network)
     }
 
     pub(crate) fn trigger(
@@ -100,15 +98,10 @@ impl Node {
         let when_full = WhenFull::DEFAULT;
         let qos = qos(Reliability::Reliable { when_full }, 10);
         let name = self.name(service)?;
-        self.node
-            .create_server(
-                ServiceMapping::Enhanced,
-                &name,
-                &ServiceTypeName::new("std_srvs", "Trigger"),
-                qos.clone(),
-                qos,
-            )
-            .map_err(network)
+        let (mapping, other) = (ServiceMapping::Enhanced, qos.clone());
+        let kind = ServiceTypeName::new("std_srvs", "Trigger");
+        let server = self.node.create_server(mapping, &name, &kind, qos, other);
+        server.map_err(network)
     }
 
     /// Takes part in discovery, on a thread of its own.
@@ -144,7 +137,7 @@ impl Node {
 
 /// Starts a detached thread, which ends with the process.
 pub(crate) fn start(name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), String> {
-    let started: io::Result<_> = thread::Builder::new().name(name.to_owned()).spawn(run);
+    let started = thread::Builder::new().name(name.to_owned()).spawn(run);
     let started = started.map(drop);
     started.map_err(|error| format!("can't start: {error}"))
 }

@@ -15,25 +15,18 @@ use crate::{
     shared::Shared,
 };
 
-/// The topics, each with the name of its node's topic and its type.
-pub(crate) const TOPICS: [(&str, &str, (&str, &str)); 9] = [
-    ("/odom", "odom", ("nav_msgs", "Odometry")),
-    ("/tf", "tf", ("tf2_msgs", "TFMessage")),
-    ("/imu", "imu", ("sensor_msgs", "Imu")),
-    (
-        "/diagnostics",
-        "diagnostics",
-        ("diagnostic_msgs", "DiagnosticArray"),
-    ),
-    ("/point_p", "point_p", ("geometry_msgs", "PointStamped")),
-    ("/reference", "reference", ("geometry_msgs", "PointStamped")),
-    (
-        "/mocap/pose",
-        "mocap_pose",
-        ("geometry_msgs", "PoseStamped"),
-    ),
-    ("/cmd", "cmd", ("ackermann_msgs", "AckermannDriveStamped")),
-    ("/rosout", "/rosout", ("rcl_interfaces", "Log")),
+/// The topics of the record, each with its type. The node's has the same name, with `_` within it; there is
+/// one log for all nodes.
+pub(crate) const TOPICS: [(&str, (&str, &str)); 9] = [
+    ("/odom", ("nav_msgs", "Odometry")),
+    ("/tf", ("tf2_msgs", "TFMessage")),
+    ("/imu", ("sensor_msgs", "Imu")),
+    ("/diagnostics", ("diagnostic_msgs", "DiagnosticArray")),
+    ("/point_p", ("geometry_msgs", "PointStamped")),
+    ("/reference", ("geometry_msgs", "PointStamped")),
+    ("/mocap/pose", ("geometry_msgs", "PoseStamped")),
+    ("/cmd", ("ackermann_msgs", "AckermannDriveStamped")),
+    ("/rosout", ("rcl_interfaces", "Log")),
 ];
 
 /// The topic of the record on which a change of the configuration is seen.
@@ -50,7 +43,9 @@ const CLOCK_STEP: f64 = 0.02;
 
 pub(crate) fn start(node: &mut Node, shared: &Arc<Shared>) -> Result<(), String> {
     let mut publishers = BTreeMap::new();
-    for (channel, topic, kind) in TOPICS {
+    for (channel, kind) in TOPICS {
+        let own = channel.trim_start_matches('/').replace('/', "_");
+        let topic = if channel == "/rosout" { channel } else { &own };
         publishers.insert(channel, (kind.1, node.publisher(topic, kind, prompt())?));
     }
     let outgoing = Outgoing {
@@ -156,7 +151,7 @@ mod tests {
     #[test]
     fn every_topic_of_the_record_with_a_type_of_ros_is_published_with_this_type() {
         assert_eq!(TOPICS.len(), StandardTopic::ALL.len());
-        for (channel, _, (package, kind)) in TOPICS {
+        for (channel, (package, kind)) in TOPICS {
             let standard = StandardTopic::ALL
                 .into_iter()
                 .find(|standard| standard.channel() == channel);

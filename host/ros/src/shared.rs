@@ -72,10 +72,12 @@ impl Shared {
         }
     }
 
-    /// Warns of something the first time.
-    pub(crate) fn warn_once(&self, text: &'static str) {
-        if self.state().warned.insert(text) {
-            tracing::warn!("{text}");
+    /// Warns of each text the first time.
+    pub(crate) fn warn_once(&self, texts: [Option<&'static str>; 2]) {
+        for text in texts.into_iter().flatten() {
+            if self.state().warned.insert(text) {
+                tracing::warn!("{text}");
+            }
         }
     }
 }

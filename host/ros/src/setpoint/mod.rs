@@ -45,38 +45,29 @@ pub(crate) struct Arrival {
 }
 
 /// Warnings of fields of a drive that have no effect.
-pub(crate) fn ignored_of_drive(
-    message: &AckermannDriveStamped,
-) -> impl Iterator<Item = &'static str> {
-    given([
-        (
-            message.acceleration != 0.0,
-            "drive: acceleration is ignored; limits.max_acceleration_m_s2 is in force",
-        ),
-        (message.jerk != 0.0, "drive: jerk is ignored"),
-    ])
+pub(crate) fn ignored_of_drive(message: &AckermannDriveStamped) -> [Option<&'static str>; 2] {
+    let acceleration = "drive: acceleration is ignored; limits.max_acceleration_m_s2 is in force";
+    [
+        (message.acceleration != 0.0).then_some(acceleration),
+        (message.jerk != 0.0).then_some("drive: jerk is ignored"),
+    ]
 }
 
 /// Warnings of fields of a twist that have no effect.
-pub(crate) fn ignored_of_twist(message: &TwistStamped) -> impl Iterator<Item = &'static str> {
+pub(crate) fn ignored_of_twist(message: &TwistStamped) -> [Option<&'static str>; 2] {
     let (linear, angular) = (message.linear, message.angular);
     let rest = [linear.y, linear.z, angular.x, angular.y];
-    given([
-        (
-            rest.iter().any(|&part| part != 0.0),
+    let has_rest = rest.iter().any(|&part| part != 0.0);
+    let turns = linear.x == 0.0 && angular.z != 0.0;
+    [
+        has_rest.then_some(
             "cmd_vel: fields beside linear.x and angular.z are ignored: the car can't move so",
         ),
-        (
-            linear.x == 0.0 && angular.z != 0.0,
+        turns.then_some(
             "cmd_vel: angular.z without linear.x turns the wheels, not the car: it can't turn on \
              the spot",
         ),
-    ])
-}
-
-fn given(texts: [(bool, &'static str); 2]) -> impl Iterator<Item = &'static str> {
-    let given = |(is_given, text): (bool, _)| is_given.then_some(text);
-    texts.into_iter().filter_map(given)
+    ]
 }
 
 impl Judge {
@@ -86,7 +77,7 @@ impl Judge {
         message: &TwistStamped,
         arrival: &Arrival,
     ) -> Result<Setpoint, Refused> {
-        let time_ns = self.decided(&message.header, arrival.now)?;
+        let time_ns = self.decided(message.header.stamp, arrival.now)?;
         self.in_map(&message.header)?;
         let (linear, angular) = (message.linear, message.angular);
         let rest = [linear.z, angular.x, angular.y, angular.z];
@@ -160,40 +151,36 @@ impl Judge {
     /// Timed positions of P, with velocities from the positions.
     pub(crate) fn path(&self, message: &Path, arrival: &Arrival) -> Result<Setpoint, Refused> {
         let now = arrival.now;
-        let decided = self.decided(&message.header, now)?;
+        let decided = self.decided(message.header.stamp, now)?;
         self.in_map(&message.header)?;
         let poses = &message.poses;
         if !(FEWEST..=MOST).contains(&poses.len()) {
             return Err(no_path());
         }
-        let mut points = Vec::with_capacity(poses.len());
-        for pose in poses {
+        let points = poses.iter().map(|pose| {
             if !pose.header.frame_id.is_empty() {
                 self.in_map(&pose.header)?;
             }
-            finite([pose.position.x, pose.position.y])?;
-            points.push(Timed {
-                wall: pose.header.stamp.ns(),
-                position: [pose.position.x, pose.position.y],
-            });
-        }
+            let position = [pose.position.x, pose.position.y];
+            finite(position)?;
+            let wall = pose.header.stamp.ns();
+            Ok(Timed { wall, position })
+        });
+        let points = points.collect::<Result<Vec<_>, Refused>>()?;
         if !points.is_sorted_by(|first, second| first.wall < second.wall) {
             return Err(no_path());
         }
-        let trajectory = velocities(&points)
-            .zip(&points)
-            .map(|(velocity, point)| {
-                finite(velocity)?;
-                let time_ns = u64::try_from(now.monotonic_at(point.wall)).map_err(|_| no_path())?;
-                Ok(TrajectoryPoint {
-                    time_ns,
-                    position_m: point.position,
-                    velocity_m_s: velocity,
-                })
+        let trajectory = velocities(&points).zip(&points).map(|(velocity, point)| {
+            finite(velocity)?;
+            let time_ns = u64::try_from(now.monotonic_at(point.wall)).map_err(|_| no_path())?;
+            Ok(TrajectoryPoint {
+                time_ns,
+                position_m: point.position,
+                velocity_m_s: velocity,
             })
-            .collect::<Result<Vec<_>, Refused>>()?;
+        });
         Ok(Setpoint {
-            trajectory: Some(trajectory),
+            trajectory: Some(trajectory.collect::<Result<_, Refused>>()?),
             time_ns: Some(decided),
             ..Setpoint::default()
         })
@@ -202,26 +189,22 @@ impl Judge {
     /// Time of the decision, on `CLOCK_MONOTONIC`; that of the sending without a stamp, which many
     /// programs leave out.
     fn decided_or_sent(&self, header: &Header, arrival: &Arrival) -> Result<u64, Refused> {
-        if header.stamp != Time::default() {
-            return self.decided(header, arrival.now);
-        }
-        let sent = Header {
-            stamp: Time::from_ns(arrival.sent.unwrap_or(arrival.now.wall)),
-            frame_id: String::new(),
-        };
-        self.decided(&sent, arrival.now)
+        let sent = || Time::from_ns(arrival.sent.unwrap_or(arrival.now.wall));
+        let is_stamped = header.stamp != Time::default();
+        let stamp = if is_stamped { header.stamp } else { sent() };
+        self.decided(stamp, arrival.now)
     }
 
     /// When it was decided, on `CLOCK_MONOTONIC`.
-    fn decided(&self, header: &Header, now: Now) -> Result<u64, Refused> {
-        if header.stamp == Time::default() {
+    fn decided(&self, stamp: Time, now: Now) -> Result<u64, Refused> {
+        if stamp == Time::default() {
             return Err(Refused::new(
                 Code::Invalid,
                 "header.stamp is zero: give the time at which it was decided",
             ));
         }
         let old = || Refused::new(Code::Old, "header.stamp is older than --max-age-ms");
-        let age = now.wall - header.stamp.ns();
+        let age = now.wall - stamp.ns();
         if age > self.max_age.as_nanos() as i128 {
             return Err(old());
         }
