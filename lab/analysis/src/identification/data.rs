@@ -107,6 +107,20 @@ impl Span {
     }
 }
 
+/// Whether a time, in s, is in one of the stretches.
+pub(super) fn are_at(spans: &[Span], time_s: f64) -> bool {
+    spans.iter().any(|span| span.contains(time_s))
+}
+
+/// What a model is replayed along: a drive, the targets that begin a pulse of its servo, and the
+/// stretches that are used.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Drive<'a> {
+    pub(super) data: &'a DriveData,
+    pub(super) servo: &'a [ServoTarget],
+    pub(super) spans: &'a [Span],
+}
+
 /// The sideslip is measured over poses up to this time before and after, in s: with errors
 /// of 0.2 mm and 0.1 degrees at 1.5 m/s to 2 mrad.
 const AROUND: f64 = 0.036;
@@ -124,11 +138,16 @@ pub(super) struct Seen {
     pub(super) yaw_rate: f64,
 }
 
+/// The poses up to `reach`, in s, before and after `time`.
+fn around(poses: &[Pose], reach: f64, time: f64) -> &[Pose] {
+    let from = poses.partition_point(|pose| pose.time_s < time - reach);
+    let to = poses.partition_point(|pose| pose.time_s <= time + reach);
+    &poses[from..to]
+}
+
 /// The motion from the straight lines through the poses around `time`. None with too few poses.
 pub(super) fn seen(poses: &[Pose], time: f64) -> Option<Seen> {
-    let from = poses.partition_point(|pose| pose.time_s < time - AROUND);
-    let to = poses.partition_point(|pose| pose.time_s <= time + AROUND);
-    let around = poses.get(from..to)?;
+    let around = around(poses, AROUND, time);
     let first = around.first().filter(|_| around.len() >= LEAST_POSES)?;
     let line = |value: &dyn Fn(&Pose) -> f64| {
         Line::through(around.iter().map(|pose| [pose.time_s - time, value(pose)]))
@@ -279,11 +298,10 @@ impl DriveData {
         let mut inertial = self.inertial.windows(2).peekable();
         let mut last = f64::NEG_INFINITY;
         let mut leapt = None;
-        let longest = INERTIAL_GAP.max(INERTIAL_PERIODS * self.inertial_period());
+        let period = median_period(self.inertial.iter().map(|sample| sample.time_s));
+        let longest = INERTIAL_GAP.max(INERTIAL_PERIODS * period);
         for (index, pose) in self.poses.iter().enumerate() {
-            let fast = self
-                .speed_at(index)
-                .is_some_and(|speed| speed >= least_speed);
+            let fast = (self.speed_at(index)).is_some_and(|speed| speed >= least_speed);
             // Whether the inertial samples since the last pose have no gap.
             let mut gapless = true;
             while let Some([one, other]) = inertial.next_if(|pair| {
@@ -326,11 +344,6 @@ impl DriveData {
         spans.extend(open);
         spans.retain(|span| span.seconds() >= LEAST_STRETCH);
         spans
-    }
-
-    /// The median distance of the inertial samples, in s.
-    fn inertial_period(&self) -> f64 {
-        median_period(self.inertial.iter().map(|sample| sample.time_s))
     }
 
     /// Puts the forward acceleration that the poses show in place of that of the samples; without a
@@ -397,9 +410,9 @@ impl DriveData {
                 of_poses.add(position_m * deviation);
             }
         }
-        let inside = |sample: &Inertial| spans.iter().any(|span| span.contains(sample.time_s));
         let driven = self.inertial.iter().zip(&beyond);
-        let driven = driven.filter(|(sample, beyond)| inside(sample) && !beyond.is_nan());
+        let driven =
+            driven.filter(|(sample, beyond)| are_at(spans, sample.time_s) && !beyond.is_nan());
         let driven: Vec<f64> = driven.map(|(_, beyond)| *beyond).collect();
         let bias = median(driven.clone())?;
         let off = driven.iter().map(|beyond| (beyond - bias).abs());
@@ -426,7 +439,7 @@ impl DriveData {
         /// A longer delay is none of an IMU, in s.
         const LATEST: f64 = 0.2;
         let samples = self.inertial.iter();
-        let samples = samples.filter(|one| spans.iter().any(|span| span.contains(one.time_s)));
+        let samples = samples.filter(|one| are_at(spans, one.time_s));
         let mut late = 0.0;
         for _ in 0..STEPS {
             let rows = samples.clone().filter_map(|sample| {
@@ -436,14 +449,11 @@ impl DriveData {
             });
             let rows: Vec<[f64; 3]> = rows.collect();
             let line = Line::through(rows.iter().map(|[camera, gyro, _]| [*camera, *gyro]));
-            let [along, of] = rows
-                .iter()
-                .fold([0.0; 2], |[along, of], [camera, gyro, rise]| {
-                    [
-                        along + (line.at(*camera) - gyro) * rise,
-                        of + line.slope * rise * rise,
-                    ]
-                });
+            let (mut along, mut of) = (0.0, 0.0);
+            for [camera, gyro, rise] in &rows {
+                along += (line.at(*camera) - gyro) * rise;
+                of += line.slope * rise * rise;
+            }
             late += along / of;
         }
         // Also if nothing turns, and it is not a number.
@@ -451,7 +461,7 @@ impl DriveData {
     }
 
     /// Speed at the pose with this index from its neighbours, in m/s.
-    pub(super) fn speed_at(&self, index: usize) -> Option<f64> {
+    fn speed_at(&self, index: usize) -> Option<f64> {
         let from = self.poses.get(index.saturating_sub(REACH))?;
         let last = self.poses.len().checked_sub(1)?;
         let to = self.poses.get((index + REACH).min(last))?;
@@ -461,17 +471,18 @@ impl DriveData {
 
     /// The largest speed of the drive from the cameras, in m/s.
     pub fn fastest(&self) -> f64 {
-        (0..self.poses.len())
-            .filter_map(|index| self.speed_at(index))
-            .fold(0.0, f64::max)
+        self.speeds().fold(0.0, f64::max)
+    }
+
+    /// The speed at each pose with neighbours, in m/s.
+    pub(super) fn speeds(&self) -> impl Iterator<Item = f64> {
+        (0..self.poses.len()).filter_map(|index| self.speed_at(index))
     }
 }
 
 /// The forward acceleration of the poses around a time, none where they are not on both sides.
 fn bent(poses: &[Pose], reach: f64, time: f64) -> Option<[f64; 2]> {
-    let from = poses.partition_point(|pose| pose.time_s < time - reach);
-    let to = poses.partition_point(|pose| pose.time_s <= time + reach);
-    let around = poses.get(from..to).unwrap_or(&[]);
+    let around = around(poses, reach, time);
     let ends = [around.first(), around.last()]
         .map(|pose| pose.is_some_and(|pose| (pose.time_s - time).abs() > 0.6 * reach));
     forward_acceleration(around, time).filter(|_| ends == [true; 2])
@@ -484,7 +495,7 @@ fn median_period(times: impl Iterator<Item = f64>) -> f64 {
     median(periods.collect()).unwrap_or_default()
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
+pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }
@@ -527,19 +538,17 @@ impl GyroScale {
             return None;
         }
         let samples = data.inertial.iter();
-        let samples = samples.filter(|one| spans.iter().any(|span| span.contains(one.time_s)));
-        let pairs: Vec<[f64; 2]> = samples
-            .filter_map(|sample| {
-                let seen = seen(&data.poses, sample.time_s)?;
-                Some([seen.yaw_rate, sample.yaw_rate_rad_s])
-            })
-            .collect();
+        let samples = samples.filter(|one| are_at(spans, one.time_s));
+        let pairs = samples.filter_map(|sample| {
+            let seen = seen(&data.poses, sample.time_s)?;
+            Some([seen.yaw_rate, sample.yaw_rate_rad_s])
+        });
+        let pairs: Vec<[f64; 2]> = pairs.collect();
         let line = Line::through(pairs.iter().copied());
         let count = pairs.len() as f64;
-        let errors: f64 = pairs
-            .iter()
-            .map(|[camera, gyro]| (gyro - line.at(*camera)).powi(2))
-            .sum();
+        let errors = pairs.iter();
+        let errors = errors.map(|[camera, gyro]| (gyro - line.at(*camera)).powi(2));
+        let errors: f64 = errors.sum();
         // The errors of samples of a few hertz that are interpolated are alike over ten of them.
         const ALIKE: f64 = 10.0;
         let deviation = (ALIKE * errors / count / line.spread).sqrt().max(1e-4);

@@ -46,7 +46,7 @@ pub(super) fn estimates(start: &Values, settings: &Settings, fit: &Fit) -> Vec<E
             let start = start.get(*parameter);
             let slope = prior.slope(start, *u).abs();
             let spread = &fit.spread;
-            let deviation = spread.deviations.get(index).copied().unwrap_or(f64::NAN);
+            let deviation = spread.deviations[index];
             let value = prior.value(start, *u);
             let deviation = if Parameter::NUISANCE.contains(parameter) {
                 deviation

@@ -6,12 +6,12 @@ use num_dual::DualSVec64;
 use singletrack_control::wrap;
 
 use super::{
-    data::{Channel, DriveData, ServoTarget, Span},
+    data::{Channel, Drive, DriveData},
     model::Model,
     noise::{LEAST_FORCE, NoiseLevels},
-    parameter::{Parameter, Values},
-    problem::Structure,
-    timeline::{EventHandler, STATES, StateEstimate, replay},
+    parameter::Values,
+    problem::Settings,
+    timeline::{EventHandler, STATES, StateEstimate},
 };
 
 /// The Kalman gain of an innovation and its standard deviation, which is zero for a sample
@@ -77,19 +77,18 @@ impl FilterRun {
 
 /// Runs the filter along the stretches of a drive. None where the model is not defined.
 pub(super) fn run_filter(
-    data: &DriveData,
-    servo: &[ServoTarget],
-    spans: &[Span],
+    drive: Drive<'_>,
     values: &Values,
-    structure: Structure,
+    settings: &Settings,
     noise: &NoiseLevels,
 ) -> Option<FilterRun> {
-    let model = Model::new(values, *values.all(), structure);
+    let data = drive.data;
+    let model = Model::new(values, *values.all(), settings);
     let mut filter = Filter {
         data,
         values,
         noise,
-        model: Model::new(values, values.all().map(Dual::from), structure),
+        model: Model::new(values, values.all().map(Dual::from), settings),
         state: SVector::zeros(),
         steering: 0.0,
         covariance: SMatrix::zeros(),
@@ -104,10 +103,7 @@ pub(super) fn run_filter(
             track: Vec::new(),
         },
     };
-    for span in spans {
-        filter.time = span.start_s;
-        replay(data, servo, *span, &model, values, &mut filter)?;
-    }
+    drive.replay(&model, values, &mut filter)?;
     Some(filter.run)
 }
 
@@ -187,7 +183,8 @@ fn gradient(value: &Dual, plain: Option<usize>) -> Row {
 }
 
 impl EventHandler<f64> for Filter<'_> {
-    fn begin(&mut self, estimate: StateEstimate<f64>) {
+    fn begin(&mut self, time: f64, estimate: StateEstimate<f64>) {
+        self.time = time;
         self.state = SVector::from(estimate.states());
         self.steering = estimate.motion.steering;
         self.covariance = SMatrix::from_diagonal(&SVector::from(START).map(|x| x * x));
@@ -196,10 +193,8 @@ impl EventHandler<f64> for Filter<'_> {
     fn advance(&mut self, step: f64, target: f64, forward: [f64; 2]) -> Option<()> {
         let estimate = self.seeded();
         let forward = forward.map(|forward| -estimate.forward_bias + forward);
-        let after = self
-            .model
-            .advance(estimate.motion, Dual::from(step), target, forward)?;
-        let motion = after;
+        let step_of = Dual::from(step);
+        let motion = (self.model).advance(estimate.motion, step_of, target, forward)?;
         let rows = StateEstimate { motion, ..estimate }.states();
         let derivatives = core::array::from_fn::<_, STATES, _>(|state| {
             let plain = Some(state).filter(|state| !SEEDS.contains(state));
@@ -207,15 +202,13 @@ impl EventHandler<f64> for Filter<'_> {
         });
         let transition = SMatrix::<f64, STATES, STATES>::from_rows(&derivatives);
         self.state = SVector::from(rows.map(|row| row.re));
-        self.steering = after.steering.re;
+        self.steering = motion.steering.re;
         self.covariance = transition * self.covariance * transition.transpose();
         let noise = self.noise;
         let vehicle = self.values.vehicle();
-        let speed = after.speed.re;
+        let speed = motion.speed.re;
         let mut add = |row: usize, column: usize, density: f64| {
-            if let Some(entry) = self.covariance.get_mut((row, column)) {
-                *entry += density * step;
-            }
+            self.covariance[(row, column)] += density * step;
         };
         // Independent forces on the two axles.
         let force = noise.force_density * noise.force_density;
@@ -236,28 +229,15 @@ impl EventHandler<f64> for Filter<'_> {
     }
 
     fn inertial(&mut self, index: usize, forward: f64) {
-        let Some(sample) = self.data.inertial.get(index) else {
-            return;
-        };
-        let estimate = self.seeded();
-        let scale = self.model.get(Parameter::GyroScale);
-        let expected = estimate.motion.yaw_rate * scale + estimate.gyro_bias;
+        let sample = self.data.inertial[index];
+        let expected = self.seeded().gyro(&self.model);
+        let row = gradient(&expected, Some(GYRO_BIAS));
         let difference = sample.yaw_rate_rad_s - expected.re;
-        let yaw_rate = self.correct(
-            Channel::YawRate,
-            gradient(&expected, Some(GYRO_BIAS)),
-            difference,
-        );
-        let estimate = self.seeded();
-        let expected = self
-            .model
-            .left_acceleration(&estimate.motion, -estimate.forward_bias + forward)
-            + self.model.get(Parameter::LateralBias);
+        let yaw_rate = self.correct(Channel::YawRate, row, difference);
+        let expected = self.seeded().left(&self.model, Dual::from(forward));
         let row = gradient(&expected, None);
         let left = self.correct(Channel::Left, row, sample.left_m_s2 - expected.re);
-        if let Some(gains) = self.run.gains.inertial.get_mut(index) {
-            *gains = [yaw_rate, left];
-        }
+        self.run.gains.inertial[index] = [yaw_rate, left];
         self.run.track.push(TrackPoint {
             inertial: index,
             estimate: StateEstimate::of(self.state.into(), self.steering),
@@ -265,23 +245,21 @@ impl EventHandler<f64> for Filter<'_> {
     }
 
     fn pose(&mut self, index: usize) {
-        let Some(pose) = self.data.poses.get(index) else {
-            return;
-        };
+        let pose = self.data.poses[index];
         let row = |state: usize| Row::from_fn(|_, column| f64::from(u8::from(column == state)));
         let x = self.correct(Channel::X, row(0), pose.x_m - self.state[0]);
         let y = self.correct(Channel::Y, row(1), pose.y_m - self.state[1]);
         let yaw = self.correct(Channel::Yaw, row(2), wrap(pose.yaw_rad - self.state[2]));
-        if let Some(gains) = self.run.gains.poses.get_mut(index) {
-            *gains = [x, y, yaw];
-        }
+        self.run.gains.poses[index] = [x, y, yaw];
     }
 }
 
 impl NoiseLevels {
-    /// These levels, scaled so that the innovations of `run` have their predicted variance.
-    fn rescaled(&self, run: &FilterRun) -> Self {
-        let factor = |channels: &[Channel]| {
+    /// These levels, scaled so that the innovations of `run` have their predicted variance, with those of
+    /// the sensors within a factor of those [from the samples](Self::with_measured_sensors): a wrong model
+    /// must make a sensor neither perfect nor useless.
+    fn rescaled(self, run: &FilterRun, sampled: &Self) -> Self {
+        self.with_sensors(|channels, level| {
             let (mut sum, mut count) = (0.0, 0.0);
             for innovation in &run.innovations {
                 if channels.contains(&innovation.channel) {
@@ -289,33 +267,14 @@ impl NoiseLevels {
                     count += 1.0;
                 }
             }
-            if count > 0.0 {
+            let factor = if count > 0.0 {
                 f64::clamp(sum / count, 0.01, 100.0).sqrt()
             } else {
                 1.0
-            }
-        };
-        Self {
-            position_m: self.position_m * factor(&[Channel::X, Channel::Y]),
-            yaw_rad: self.yaw_rad * factor(&[Channel::Yaw]),
-            yaw_rate_rad_s: self.yaw_rate_rad_s * factor(&[Channel::YawRate]),
-            left_m_s2: self.left_m_s2 * factor(&[Channel::Left]),
-            ..*self
-        }
-    }
-
-    /// These levels, with those of the sensors within a factor of those
-    /// [from the samples](Self::with_measured_sensors): a wrong model must make a sensor neither
-    /// perfect nor useless.
-    fn limited_to(self, sampled: &Self) -> Self {
-        let limit = |level: f64, sampled: f64| level.clamp(0.6 * sampled, 2.0 * sampled);
-        Self {
-            position_m: limit(self.position_m, sampled.position_m),
-            yaw_rad: limit(self.yaw_rad, sampled.yaw_rad),
-            yaw_rate_rad_s: limit(self.yaw_rate_rad_s, sampled.yaw_rate_rad_s),
-            left_m_s2: limit(self.left_m_s2, sampled.left_m_s2),
-            ..self
-        }
+            };
+            let sampled = sampled.of(channels[0]);
+            (level * factor).clamp(0.6 * sampled, 2.0 * sampled)
+        })
     }
 
     /// The levels with the largest likelihood, from these as a start.
@@ -327,17 +286,25 @@ impl NoiseLevels {
         rounds: u32,
         mut run: impl FnMut(&Self) -> Option<FilterRun>,
     ) -> Option<Self> {
+        type Density = fn(&mut NoiseLevels) -> &mut f64;
+        let densities: [(Density, f64); 2] = [
+            (|levels| &mut levels.forward_density, 0.0),
+            (|levels| &mut levels.force_density, LEAST_FORCE),
+        ];
         let mut levels = self;
         for round in 0..rounds {
             for _ in 0..2 {
-                levels = levels.rescaled(&run(&levels)?).limited_to(sampled);
+                levels = levels.rescaled(&run(&levels)?, sampled);
             }
             let spread = if round == 0 { 6.0 } else { 2.0 };
-            for scale in [Self::scale_forward, Self::scale_force] {
-                let mut at = |power: f64| {
-                    let tried = scale(levels, f64::powf(spread, power));
-                    run(&tried).map(|run| run.likelihood())
+            for (density, least) in densities {
+                let scaled = |power: f64| {
+                    let mut tried = levels;
+                    let level = density(&mut tried);
+                    *level = (*level * f64::powf(spread, power)).max(least);
+                    tried
                 };
+                let mut at = |power: f64| run(&scaled(power)).map(|run| run.likelihood());
                 let (less, same, more) = (at(-1.0)?, at(0.0)?, at(1.0)?);
                 // The maximum of the parabola through the three, limited to twice their distance.
                 let bend = less - 2.0 * same + more;
@@ -348,19 +315,9 @@ impl NoiseLevels {
                 } else {
                     -2.0
                 };
-                levels = scale(levels, f64::powf(spread, power));
+                levels = scaled(power);
             }
         }
-        Some(levels.rescaled(&run(&levels)?).limited_to(sampled))
-    }
-
-    fn scale_forward(mut self, factor: f64) -> Self {
-        self.forward_density *= factor;
-        self
-    }
-
-    fn scale_force(mut self, factor: f64) -> Self {
-        self.force_density = (self.force_density * factor).max(LEAST_FORCE);
-        self
+        Some(levels.rescaled(&run(&levels)?, sampled))
     }
 }

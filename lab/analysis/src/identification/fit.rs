@@ -1,9 +1,7 @@
 //! The fit: gains, parameters and noise levels in turn, until they converge.
 
-use singletrack_control::VehicleParameters;
-
 use super::{
-    data::{DriveData, ServoFrames, ServoTarget, Span},
+    data::{Drive, DriveData, ServoFrames, ServoTarget, Span},
     error::IdentificationError,
     filter::{FilterRun, run_filter},
     least_squares::minimise,
@@ -37,7 +35,6 @@ pub(super) struct Task<'a> {
     pub(super) data: &'a DriveData,
     pub(super) spans: &'a [Span],
     pub(super) start: Values,
-    pub(super) active: &'a [Parameter],
     pub(super) settings: &'a Settings,
 }
 
@@ -53,17 +50,12 @@ const SETTLED: f64 = 0.01;
 const RETURNS: f64 = 0.25;
 
 impl Task<'_> {
-    /// The vehicle at the start.
-    pub(super) const fn vehicle(&self) -> VehicleParameters {
-        self.start.vehicle()
-    }
-
     pub(super) fn fit(&self) -> Result<Fit, IdentificationError> {
         let candidates = match self.settings.frames {
             Some(frames) => vec![frames],
             None => ServoFrames::ALL.to_vec(),
         };
-        let zero = vec![0.0; self.active.len()];
+        let zero = vec![0.0; self.settings.parameters.len()];
         let mut noise = self.settings.noise;
         if self.settings.estimate_noise {
             noise = noise.with_measured_sensors(self.data, self.spans);
@@ -156,12 +148,9 @@ impl Task<'_> {
             return Ok(noise);
         }
         let values = self.values(u);
-        let structure = self.settings.structure();
-        noise
-            .most_likely(sampled, rounds, |levels| {
-                run_filter(self.data, servo, self.spans, &values, structure, levels)
-            })
-            .ok_or_else(|| self.diverged(u))
+        let run = |levels: &_| run_filter(self.drive(servo), &values, self.settings, levels);
+        let likely = noise.most_likely(sampled, rounds, run);
+        likely.ok_or_else(|| self.diverged(u))
     }
 
     /// The smallest standard deviations of estimates for the car of the start values.
@@ -171,37 +160,40 @@ impl Task<'_> {
         noise: &NoiseLevels,
     ) -> Result<Vec<f64>, IdentificationError> {
         let servo = frames.of(&self.data.servo);
-        let zero = vec![0.0; self.active.len()];
+        let zero = vec![0.0; self.settings.parameters.len()];
         let run = self.run_filter(&servo, &zero, noise)?;
         let prediction = self.prediction(&servo, &run);
         let bounds = bounds(&prediction).ok_or_else(|| self.diverged(&zero))?;
-        let slopes = self.active.iter();
-        let slopes =
-            slopes.map(|parameter| parameter.prior().slope(self.start.get(*parameter), 0.0));
-        let bounds = slopes.zip(bounds).map(|(slope, bound)| slope * bound);
+        let parameters = self.settings.parameters.iter();
+        let bounds = parameters.zip(bounds).map(|(parameter, bound)| {
+            parameter.prior().slope(self.start.get(*parameter), 0.0) * bound
+        });
         Ok(bounds.collect())
+    }
+
+    pub(super) const fn drive<'b>(&'b self, servo: &'b [ServoTarget]) -> Drive<'b> {
+        Drive {
+            data: self.data,
+            servo,
+            spans: self.spans,
+        }
     }
 
     fn prediction<'b>(&'b self, servo: &'b [ServoTarget], run: &'b FilterRun) -> Prediction<'b> {
         Prediction {
-            data: self.data,
-            servo,
-            spans: self.spans,
+            drive: self.drive(servo),
             gains: &run.gains,
             start: &self.start,
-            active: self.active,
-            structure: self.settings.structure(),
+            settings: self.settings,
         }
     }
 
     pub(super) fn values(&self, u: &[f64]) -> Values {
-        let moved = self.start.moved(self.active, u);
-        Parameter::ALL
-            .iter()
-            .zip(moved)
-            .fold(self.start, |values, (parameter, value)| {
-                values.with(*parameter, value)
-            })
+        let moved = self.start.moved(&self.settings.parameters, u);
+        let moved = Parameter::ALL.into_iter().zip(moved);
+        moved.fold(self.start, |values, (parameter, value)| {
+            values.with(parameter, value)
+        })
     }
 
     pub(super) fn run_filter(
@@ -210,15 +202,8 @@ impl Task<'_> {
         u: &[f64],
         noise: &NoiseLevels,
     ) -> Result<FilterRun, IdentificationError> {
-        run_filter(
-            self.data,
-            servo,
-            self.spans,
-            &self.values(u),
-            self.settings.structure(),
-            noise,
-        )
-        .ok_or_else(|| self.diverged(u))
+        run_filter(self.drive(servo), &self.values(u), self.settings, noise)
+            .ok_or_else(|| self.diverged(u))
     }
 
     pub(super) fn diverged(&self, u: &[f64]) -> IdentificationError {

@@ -138,7 +138,6 @@ fn identified(
         data,
         spans: &stretches,
         start: *start,
-        active: &settings.parameters,
         settings,
     };
     let Chosen {
@@ -160,7 +159,7 @@ fn identified(
     warnings.extend(warning::of_fit(&fit, settings.tyres, criterion));
     warnings.extend(warning::warnings(
         &estimates,
-        |row, column| correlation[(row, column)],
+        &correlation,
         told,
         &stretches,
         &fit.run.track,
@@ -211,12 +210,10 @@ impl Chosen {
     fn of(task: &Task<'_>, fit: Fit, criterion: Criterion) -> Result<Self, IdentificationError> {
         let servo = fit.frames.of(&task.data.servo);
         let inputs = Inputs {
-            data: task.data,
-            servo: &servo,
-            spans: task.spans,
+            drive: task.drive(&servo),
             run: &fit.run,
         };
-        let simulation = simulation::simulate(&inputs, &fit.values, task.settings.structure());
+        let simulation = simulation::simulate(&inputs, &fit.values, task.settings);
         let simulation = simulation.ok_or_else(|| task.diverged(&fit.u))?;
         Ok(Self {
             fit,
@@ -259,7 +256,7 @@ fn choose(task: &Task<'_>) -> Result<Chosen, IdentificationError> {
         return prediction;
     };
     // Where both fail, the prediction says better why.
-    if !not_told(&simulation.fit, task.active.iter().copied()).is_empty() {
+    if !not_told(&simulation.fit, settings.parameters.iter().copied()).is_empty() {
         return prediction;
     }
     let nmpe = simulation.nmpe();
@@ -365,7 +362,6 @@ pub fn cramer_rao(
         data,
         spans: &stretches,
         start: *truth,
-        active: &settings.parameters,
         settings,
     };
     task.bounds(frames, noise)

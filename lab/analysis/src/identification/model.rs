@@ -1,11 +1,11 @@
 //! The model of the identification: equations 1 and 2 with axle forces that may saturate,
 //! and a servo with a lag. Its inputs are the servo's target and the forward acceleration.
 
-use singletrack_control::{Axles, LateralMotion, SingleTrackState, SlipAngles, VehicleParameters};
+use singletrack_control::{Axles, SingleTrackState, SlipAngles, VehicleParameters};
 
 use super::{
     parameter::{COUNT, Parameter, Values},
-    problem::Structure,
+    problem::Settings,
 };
 use crate::dual::{Dual, DualFunctions};
 
@@ -62,7 +62,7 @@ pub(super) struct Model<D> {
 
 impl<D: Dual> Model<D> {
     /// The model of `parameters`, with mass and wheelbase of `values`.
-    pub(super) fn new(values: &Values, parameters: [D; COUNT], structure: Structure) -> Self {
+    pub(super) fn new(values: &Values, parameters: [D; COUNT], settings: &Settings) -> Self {
         let (mass, wheelbase) = values.known();
         let get = |parameter: Parameter| parameters[parameter as usize];
         let front_axle_distance = get(Parameter::FrontAxleDistance);
@@ -76,8 +76,8 @@ impl<D: Dual> Model<D> {
             rear_cornering_stiffness_n_rad: get(Parameter::RearStiffness),
         };
         Self {
-            axles: Axles::new(vehicle, structure.tyres).with_slip_angles(structure.slip_angles),
-            slip_angles: structure.slip_angles,
+            axles: Axles::new(vehicle, settings.tyres).with_slip_angles(settings.slip_angles),
+            slip_angles: settings.slip_angles,
             parameters,
         }
     }
@@ -104,13 +104,6 @@ impl<D: Dual> Model<D> {
 
     /// The rate of the motion at the forward acceleration `forward` of G, in m/s².
     fn rate(&self, s: &Motion<D>, target: f64, forward: D) -> Motion<D> {
-        let motion = LateralMotion {
-            yaw_rate: s.yaw_rate,
-            sideslip: s.sideslip,
-            speed: s.speed,
-            steering: s.steering,
-        };
-        let forces = self.axles.forces::<DualFunctions, D>(&motion);
         let state = SingleTrackState {
             x: s.x,
             y: s.y,
@@ -118,6 +111,8 @@ impl<D: Dual> Model<D> {
             yaw_rate: s.yaw_rate,
             sideslip: s.sideslip,
         };
+        let motion = state.lateral(s.speed, s.steering);
+        let forces = self.axles.forces::<DualFunctions, D>(&motion);
         let lateral = self.axles.lateral::<DualFunctions, D>(&motion, &forces);
         let rate = state.derivative::<DualFunctions>(s.speed, lateral);
         // Perpendicular to the course, positive to the left.

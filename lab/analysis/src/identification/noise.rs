@@ -1,8 +1,10 @@
 //! Noise levels of the sensors and of the road, and how they are measured.
 
+use core::array::from_fn;
+
 use singletrack_control::{GRAVITY, VehicleParameters, wrap};
 
-use super::data::{Channel, DriveData, MEDIAN_OF_NORMAL, Span};
+use super::data::{Channel, DriveData, Inertial, MEDIAN_OF_NORMAL, Pose, Span, are_at, median};
 
 /// Standard deviations of measurement and process noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,59 +97,64 @@ impl NoiseLevels {
         }
     }
 
+    /// These levels, with those of the sensors by `level`, from the channels of a sensor and its level.
+    pub(super) fn with_sensors(self, level: impl Fn(&[Channel], f64) -> f64) -> Self {
+        Self {
+            position_m: level(&[Channel::X, Channel::Y], self.position_m),
+            yaw_rad: level(&[Channel::Yaw], self.yaw_rad),
+            yaw_rate_rad_s: level(&[Channel::YawRate], self.yaw_rate_rad_s),
+            left_m_s2: level(&[Channel::Left], self.left_m_s2),
+            ..self
+        }
+    }
+
     /// These levels, with those of the sensors from third differences of the samples.
     ///
     /// Independent of the model: the car's motion has small third differences.
     pub(super) fn with_measured_sensors(self, data: &DriveData, spans: &[Span]) -> Self {
-        let within = |time: f64| spans.iter().any(|span| span.contains(time));
-        let poses = data.poses.windows(4);
-        let poses = poses.filter(|w| w.iter().all(|p| within(p.time_s)));
-        let (mut position, mut yaw) = (Vec::new(), Vec::new());
-        for window in poses {
-            if let [a, b, c, d] = window {
-                position.push(third([a.x_m, b.x_m, c.x_m, d.x_m]));
-                position.push(third([a.y_m, b.y_m, c.y_m, d.y_m]));
-                let turned = [b, c, d].map(|pose| wrap(pose.yaw_rad - a.yaw_rad));
-                yaw.push(third([0.0, turned[0], turned[1], turned[2]]));
-            }
-        }
-        let inertial = data.inertial.windows(4);
-        let inertial = inertial.filter(|w| w.iter().all(|i| within(i.time_s)));
-        let (mut yaw_rate, mut left) = (Vec::new(), Vec::new());
-        for window in inertial {
-            if let [a, b, c, d] = window {
-                yaw_rate.push(third([a, b, c, d].map(|sample| sample.yaw_rate_rad_s)));
-                left.push(third([a, b, c, d].map(|sample| sample.left_m_s2)));
-            }
-        }
-        // What is not measured.
-        yaw_rate.retain(|difference: &f64| !difference.is_nan());
-        left.retain(|difference: &f64| !difference.is_nan());
-        let level = |differences, usual: f64, least: f64| {
-            deviation(differences).map_or(usual, |measured| measured.max(least))
+        let poses = |values: fn(&[Pose]) -> [f64; 4]| {
+            differences(&data.poses, |pose| are_at(spans, pose.time_s), values)
         };
-        Self {
-            position_m: level(position, self.position_m, LEAST.position_m),
-            yaw_rad: level(yaw, self.yaw_rad, LEAST.yaw_rad),
-            yaw_rate_rad_s: level(yaw_rate, self.yaw_rate_rad_s, LEAST.yaw_rate_rad_s),
-            left_m_s2: level(left, self.left_m_s2, LEAST.left_m_s2),
-            ..self
-        }
+        let inertial = |value: fn(&Inertial) -> f64| {
+            let values = |four: &[Inertial]| from_fn(|index| value(&four[index]));
+            differences(&data.inertial, |one| are_at(spans, one.time_s), values)
+        };
+        let of_channel = |channel: &Channel| match channel {
+            Channel::X => poses(|four| from_fn(|index| four[index].x_m)),
+            Channel::Y => poses(|four| from_fn(|index| four[index].y_m)),
+            Channel::Yaw => {
+                poses(|four| from_fn(|index| wrap(four[index].yaw_rad - four[0].yaw_rad)))
+            }
+            Channel::YawRate => inertial(|sample| sample.yaw_rate_rad_s),
+            Channel::Left => inertial(|sample| sample.left_m_s2),
+        };
+        self.with_sensors(|channels, usual| {
+            let measured = deviation(channels.iter().flat_map(of_channel).collect());
+            measured.map_or(usual, |measured| measured.max(LEAST.of(channels[0])))
+        })
     }
 }
 
-/// The third difference; of white noise it has twenty times the variance.
-fn third([a, b, c, d]: [f64; 4]) -> f64 {
-    d - 3.0 * c + 3.0 * b - a
+/// The magnitudes of the third differences of samples within the stretches, without those of what is
+/// not measured; of white noise they have twenty times the variance.
+fn differences<T>(
+    samples: &[T],
+    is_within: impl Fn(&T) -> bool,
+    values: impl Fn(&[T]) -> [f64; 4],
+) -> Vec<f64> {
+    let windows = samples.windows(4);
+    let windows = windows.filter(|four| four.iter().all(&is_within));
+    let differences = windows.map(|four| {
+        let [a, b, c, d] = values(four);
+        (d - 3.0 * c + 3.0 * b - a).abs()
+    });
+    differences.filter(|one| !one.is_nan()).collect()
 }
 
 /// Standard deviation of white noise with these third differences, from their median, which
 /// is robust against jolts. None if there are too few, or if most are zero.
-fn deviation(mut differences: Vec<f64>) -> Option<f64> {
-    for difference in &mut differences {
-        *difference = difference.abs();
-    }
-    differences.sort_by(f64::total_cmp);
-    let median = differences.get(differences.len() / 2)?;
-    (*median > 0.0 && differences.len() >= 100).then(|| median / (MEDIAN_OF_NORMAL * 20_f64.sqrt()))
+fn deviation(differences: Vec<f64>) -> Option<f64> {
+    let are_enough = differences.len() >= 100;
+    let median = median(differences)?;
+    (median > 0.0 && are_enough).then(|| median / (MEDIAN_OF_NORMAL * 20_f64.sqrt()))
 }

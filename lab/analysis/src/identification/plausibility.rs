@@ -1,7 +1,7 @@
 //! Whether the sensors of a drive agree at all: wrong signs, units and mountings, before anything is fitted.
 
 use super::{
-    data::{DriveData, GyroScale, Inertial, Seen, Span, seen},
+    data::{DriveData, GyroScale, Inertial, Seen, Span, are_at, median, seen},
     error::IdentificationError,
 };
 
@@ -18,18 +18,15 @@ const OPPOSES: f64 = -0.5;
 
 /// Whether the positions have a possible unit.
 pub(super) fn check_unit(data: &DriveData) -> Result<(), IdentificationError> {
-    let speeds = (0..data.poses.len()).filter_map(|index| data.speed_at(index));
-    let mut speeds: Vec<f64> = speeds.collect();
-    speeds.sort_by(f64::total_cmp);
-    match speeds.get(speeds.len() / 2) {
-        Some(median) if *median > FASTEST => Err(IdentificationError::TooFast(*median)),
+    match median(data.speeds().collect()) {
+        Some(median) if median > FASTEST => Err(IdentificationError::TooFast(median)),
         _ => Ok(()),
     }
 }
 
 /// Whether the sensors agree in the stretches.
 pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), IdentificationError> {
-    let within = |time: f64| spans.iter().any(|span| span.contains(time));
+    let within = |time: f64| are_at(spans, time);
     type Value = fn(&Inertial) -> f64;
     let channels: [(&'static str, Value); 3] = [
         ("yaw rate", |sample| sample.yaw_rate_rad_s),

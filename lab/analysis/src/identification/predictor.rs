@@ -6,57 +6,54 @@
 //! same place, and its curvature the same up to noise.
 
 use super::{
-    data::{DriveData, ServoTarget, Span},
+    data::{Drive, DriveData},
     filter::{Gain, Gains},
     model::Model,
-    parameter::{Parameter, Values},
-    problem::{Problem, Structure},
-    timeline::{EventHandler, STATES, StateEstimate, replay},
+    parameter::Values,
+    problem::{Problem, Settings},
+    timeline::{EventHandler, STATES, StateEstimate},
 };
 use crate::dual::Dual;
 
 /// The data, model and gains of a prediction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Prediction<'a> {
-    pub(super) data: &'a DriveData,
-    pub(super) servo: &'a [ServoTarget],
-    pub(super) spans: &'a [Span],
+    pub(super) drive: Drive<'a>,
     pub(super) gains: &'a Gains,
     pub(super) start: &'a Values,
-    pub(super) active: &'a [Parameter],
-    pub(super) structure: Structure,
+    pub(super) settings: &'a Settings,
 }
 
 impl Prediction<'_> {
     /// Number of predicted measurements.
     pub(super) fn rows(&self) -> usize {
-        2 * self.data.inertial.len() + 3 * self.data.poses.len()
+        2 * self.drive.data.inertial.len() + 3 * self.drive.data.poses.len()
     }
 
     /// The time of each predicted measurement, in s.
     pub(super) fn times(&self) -> Vec<f64> {
-        let inertial = self.data.inertial.iter().flat_map(|i| [i.time_s; 2]);
-        inertial
-            .chain(self.data.poses.iter().flat_map(|p| [p.time_s; 3]))
-            .collect()
+        let DriveData {
+            poses, inertial, ..
+        } = self.drive.data;
+        let inertial = inertial.iter().flat_map(|i| [i.time_s; 2]);
+        let poses = poses.iter().flat_map(|p| [p.time_s; 3]);
+        inertial.chain(poses).collect()
     }
 }
 
 impl Problem for Prediction<'_> {
     fn errors<D: Dual>(&self, u: &[D]) -> Option<Vec<D>> {
-        let parameters = self.start.moved(self.active, u);
+        let parameters = self.start.moved(&self.settings.parameters, u);
         let zero = D::from(0.0);
         let mut predictor = Predictor {
             prediction: self,
-            model: Model::new(self.start, parameters, self.structure),
+            model: Model::new(self.start, parameters, self.settings),
             estimate: StateEstimate::of([zero; STATES], zero),
             errors: vec![zero; self.rows()],
         };
         let model = predictor.model;
-        for span in self.spans {
-            let order = &self.gains.order;
-            replay(self.data, self.servo, *span, &model, order, &mut predictor)?;
-        }
+        let order = &self.gains.order;
+        self.drive.replay(&model, order, &mut predictor)?;
         Some(predictor.errors)
     }
 }
@@ -73,9 +70,7 @@ impl<D: Dual> Predictor<'_, D> {
         if gain.deviation <= 0.0 {
             return;
         }
-        if let Some(place) = self.errors.get_mut(row) {
-            *place = error / gain.deviation;
-        }
+        self.errors[row] = error / gain.deviation;
         let mut states = self.estimate.states();
         for (state, gain) in states.iter_mut().zip(gain.gain) {
             *state += error * gain;
@@ -85,45 +80,31 @@ impl<D: Dual> Predictor<'_, D> {
 }
 
 impl<D: Dual> EventHandler<D> for Predictor<'_, D> {
-    fn begin(&mut self, estimate: StateEstimate<D>) {
+    fn begin(&mut self, _: f64, estimate: StateEstimate<D>) {
         self.estimate = estimate;
     }
 
     fn advance(&mut self, step: D, target: f64, forward: [D; 2]) -> Option<()> {
         let bias = self.estimate.forward_bias;
         let forward = forward.map(|forward| forward - bias);
-        self.estimate.motion = self
-            .model
-            .advance(self.estimate.motion, step, target, forward)?;
+        let motion = &mut self.estimate.motion;
+        *motion = self.model.advance(*motion, step, target, forward)?;
         Some(())
     }
 
     fn inertial(&mut self, index: usize, forward: D) {
-        let prediction = self.prediction;
-        let (Some(sample), Some([yaw_rate, left])) = (
-            prediction.data.inertial.get(index),
-            prediction.gains.inertial.get(index),
-        ) else {
-            return;
-        };
-        let scale = self.model.get(Parameter::GyroScale);
-        let expected = self.estimate.motion.yaw_rate * scale + self.estimate.gyro_bias;
+        let Prediction { drive, gains, .. } = self.prediction;
+        let (sample, [yaw_rate, left]) = (&drive.data.inertial[index], &gains.inertial[index]);
+        let expected = self.estimate.gyro(&self.model);
         self.correct(yaw_rate, 2 * index, -expected + sample.yaw_rate_rad_s);
-        let forward = forward - self.estimate.forward_bias;
-        let expected = self.model.left_acceleration(&self.estimate.motion, forward)
-            + self.model.get(Parameter::LateralBias);
+        let expected = self.estimate.left(&self.model, forward);
         self.correct(left, 2 * index + 1, -expected + sample.left_m_s2);
     }
 
     fn pose(&mut self, index: usize) {
-        let prediction = self.prediction;
-        let (Some(pose), Some([x, y, yaw])) = (
-            prediction.data.poses.get(index),
-            prediction.gains.poses.get(index),
-        ) else {
-            return;
-        };
-        let row = 2 * prediction.data.inertial.len() + 3 * index;
+        let Prediction { drive, gains, .. } = self.prediction;
+        let (pose, [x, y, yaw]) = (&drive.data.poses[index], &gains.poses[index]);
+        let row = 2 * drive.data.inertial.len() + 3 * index;
         let error = -self.estimate.motion.x + pose.x_m;
         self.correct(x, row, error);
         let error = -self.estimate.motion.y + pose.y_m;
@@ -136,14 +117,14 @@ impl<D: Dual> EventHandler<D> for Predictor<'_, D> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::parameter::COUNT;
     use singletrack_control::{Tyres, VehicleParameters};
 
     use super::{
         super::{
-            data::{Inertial, Pose},
+            data::{Inertial, Pose, ServoTarget, Span},
             filter::run_filter,
             noise::NoiseLevels,
+            parameter::{COUNT, Parameter},
         },
         *,
     };
@@ -183,17 +164,24 @@ mod tests {
             start_s: 0.5,
             end_s: 2.8,
         }];
+        let drive = Drive {
+            data: &data,
+            servo: &data.servo,
+            spans: &spans,
+        };
         for tyres in [Tyres::Saturating, Tyres::Linear] {
             let noise = NoiseLevels::usual();
-            let run = run_filter(&data, &data.servo, &spans, &start, tyres.into(), &noise).unwrap();
+            let settings = Settings {
+                tyres,
+                parameters: Parameter::ALL.to_vec(),
+                ..Settings::default()
+            };
+            let run = run_filter(drive, &start, &settings, &noise).unwrap();
             let prediction = Prediction {
-                data: &data,
-                servo: &data.servo,
-                spans: &spans,
+                drive,
                 gains: &run.gains,
                 start: &start,
-                active: &Parameter::ALL,
-                structure: tyres.into(),
+                settings: &settings,
             };
             let u: Vec<f64> = (0..COUNT).map(|index| 0.01 * index as f64).collect();
             let jacobian = prediction.jacobian(&u).unwrap();
@@ -220,16 +208,21 @@ mod tests {
             start_s: 0.5,
             end_s: 2.8,
         }];
-        let (tyres, noise) = (Tyres::Saturating, NoiseLevels::usual());
-        let run = run_filter(&data, &data.servo, &spans, &start, tyres.into(), &noise).unwrap();
-        let prediction = Prediction {
+        let drive = Drive {
             data: &data,
             servo: &data.servo,
             spans: &spans,
+        };
+        let settings = Settings {
+            parameters: vec![Parameter::FrontStiffness],
+            ..Settings::default()
+        };
+        let run = run_filter(drive, &start, &settings, &NoiseLevels::usual()).unwrap();
+        let prediction = Prediction {
+            drive,
             gains: &run.gains,
             start: &start,
-            active: &[Parameter::FrontStiffness],
-            structure: tyres.into(),
+            settings: &settings,
         };
         let sum = prediction.residuals(&[0.0]).unwrap().norm_squared();
         let innovations = run.innovations.iter();

@@ -107,23 +107,6 @@ pub struct Settings {
     pub least_speed: f64,
 }
 
-/// What the forces of the model follow from.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Structure {
-    pub(super) tyres: Tyres,
-    pub(super) slip_angles: SlipAngles,
-}
-
-#[cfg(test)]
-impl From<Tyres> for Structure {
-    fn from(tyres: Tyres) -> Self {
-        Self {
-            tyres,
-            slip_angles: SlipAngles::Small,
-        }
-    }
-}
-
 impl Default for Settings {
     /// The paper's three parameters and those that must be estimated jointly with them.
     fn default() -> Self {
@@ -132,13 +115,6 @@ impl Default for Settings {
 }
 
 impl Settings {
-    pub(super) const fn structure(&self) -> Structure {
-        Structure {
-            tyres: self.tyres,
-            slip_angles: self.slip_angles,
-        }
-    }
-
     /// These parameters and [`Parameter::NUISANCE`], which must be estimated jointly.
     pub fn of(parameters: &[Parameter]) -> Self {
         let mut all = Vec::new();

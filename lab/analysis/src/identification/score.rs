@@ -72,19 +72,12 @@ impl Score {
             let pairs: Vec<_> = pairs
                 .filter(|[measured, model]| measured.is_finite() && model.is_finite())
                 .collect();
-            let count = pairs.len().max(1) as f64;
+            // Without a pair, all are not a number.
+            let count = pairs.len() as f64;
             let mean = pairs.iter().map(|[measured, _]| measured).sum::<f64>() / count;
             let spread: f64 = pairs.iter().map(|[y, _]| (y - mean) * (y - mean)).sum();
             let errors = pairs.iter().map(|[y, model]| model - y);
             let squares: f64 = errors.map(|error| error * error).sum();
-            if pairs.is_empty() {
-                return OutputScore {
-                    output,
-                    nmpe: f64::NAN,
-                    fit_percent: f64::NAN,
-                    rms: f64::NAN,
-                };
-            }
             let absolute: f64 = pairs.iter().map(|[y, model]| (model - y).abs()).sum();
             OutputScore {
                 output,
@@ -120,27 +113,20 @@ const LAGS: usize = 20;
 
 /// The prediction errors of a fit, by channel.
 pub(super) fn residuals(fit: &Fit) -> Vec<Residuals> {
-    Channel::ALL
-        .into_iter()
-        .map(|channel| {
-            let of_channel = fit.run.innovations.iter();
-            let of_channel = of_channel.filter(|innovation| innovation.channel == channel);
-            let (times_s, values): (Vec<f64>, Vec<f64>) = of_channel
-                .map(|innovation| {
-                    (
-                        innovation.time_s,
-                        innovation.value / innovation.variance.sqrt(),
-                    )
-                })
-                .unzip();
-            Residuals {
-                channel,
-                autocorrelation: autocorrelation(&values),
-                times_s,
-                values,
-            }
-        })
-        .collect()
+    let residuals = Channel::ALL.map(|channel| {
+        let of_channel = fit.run.innovations.iter();
+        let of_channel = of_channel.filter(|innovation| innovation.channel == channel);
+        let (times_s, values): (Vec<f64>, Vec<f64>) = of_channel
+            .map(|one| (one.time_s, one.value / one.variance.sqrt()))
+            .unzip();
+        Residuals {
+            channel,
+            autocorrelation: autocorrelation(&values),
+            times_s,
+            values,
+        }
+    });
+    residuals.into()
 }
 
 fn autocorrelation(values: &[f64]) -> Vec<f64> {

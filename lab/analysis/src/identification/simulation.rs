@@ -2,12 +2,12 @@
 //! it: the paper's validation figures.
 
 use super::{
-    data::{DriveData, ServoTarget, Span, seen},
+    data::{Drive, seen},
     filter::{FilterRun, TrackPoint},
     model::{Model, Motion},
     parameter::{Parameter, Values},
-    problem::Structure,
-    timeline::{EventHandler, StateEstimate, replay},
+    problem::Settings,
+    timeline::{EventHandler, STATES, StateEstimate},
 };
 use crate::dual::Dual;
 
@@ -53,9 +53,7 @@ const RESTART_S: f64 = 10.0;
 /// What is simulated: a drive, and the filter's estimate of its speed and of the biases.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Inputs<'a> {
-    pub(super) data: &'a DriveData,
-    pub(super) servo: &'a [ServoTarget],
-    pub(super) spans: &'a [Span],
+    pub(super) drive: Drive<'a>,
     pub(super) run: &'a FilterRun,
 }
 
@@ -84,20 +82,18 @@ pub(super) enum Sample {
 impl Inputs<'_> {
     /// Simulates the stretches. None where the model is not defined.
     pub(super) fn simulate<D: Dual>(&self, model: &Model<D>) -> Option<Vec<Simulated<D>>> {
+        let zero = D::from(0.0);
         let mut simulator = Simulator {
             model: *model,
             track: self.run.track.iter(),
-            estimate: None,
+            estimate: StateEstimate::of([zero; STATES], zero),
             now: 0.0,
             since: 0.0,
             forward_bias: 0.0,
-            points: Vec::with_capacity(self.data.poses.len() + self.run.track.len()),
+            points: Vec::with_capacity(self.drive.data.poses.len() + self.run.track.len()),
         };
-        for span in self.spans {
-            simulator.now = span.start_s;
-            let order = &self.run.gains.order;
-            replay(self.data, self.servo, *span, model, order, &mut simulator)?;
-        }
+        let order = &self.run.gains.order;
+        self.drive.replay(model, order, &mut simulator)?;
         Some(simulator.points)
     }
 }
@@ -107,19 +103,19 @@ impl Inputs<'_> {
 pub(super) fn simulate(
     inputs: &Inputs<'_>,
     values: &Values,
-    structure: Structure,
+    settings: &Settings,
 ) -> Option<Vec<SimulationPoint>> {
-    let model = Model::new(values, *values.all(), structure);
+    let model = Model::new(values, *values.all(), settings);
     let points = inputs.simulate(&model)?.into_iter();
     let points = points.filter_map(|simulated| {
         let Simulated { motion, left, .. } = simulated;
         let Sample::Inertial(track) = simulated.sample else {
             return None;
         };
-        let sample = inputs.data.inertial.get(track.inertial)?;
+        let sample = inputs.drive.data.inertial[track.inertial];
         let estimate = track.estimate;
         let unbiased = sample.yaw_rate_rad_s - estimate.gyro_bias;
-        let seen = seen(&inputs.data.poses, simulated.time_s);
+        let seen = seen(&inputs.drive.data.poses, simulated.time_s);
         let yaw_rate = match sample.yaw_rate_rad_s.is_nan() {
             false => unbiased / values.get(Parameter::GyroScale),
             true => seen.map_or(f64::NAN, |seen| seen.yaw_rate),
@@ -147,7 +143,7 @@ pub(super) fn simulate(
 struct Simulator<'a, D> {
     model: Model<D>,
     track: core::slice::Iter<'a, TrackPoint>,
-    estimate: Option<StateEstimate<D>>,
+    estimate: StateEstimate<D>,
     now: f64,
     /// Time since the last restart, in s.
     since: f64,
@@ -156,15 +152,16 @@ struct Simulator<'a, D> {
 }
 
 impl<D: Dual> EventHandler<D> for Simulator<'_, D> {
-    fn begin(&mut self, estimate: StateEstimate<D>) {
-        self.estimate = Some(estimate);
+    fn begin(&mut self, time: f64, estimate: StateEstimate<D>) {
+        self.now = time;
+        self.estimate = estimate;
         self.since = f64::INFINITY;
     }
 
     fn advance(&mut self, step: D, target: f64, forward: [D; 2]) -> Option<()> {
-        let estimate = self.estimate.as_mut()?;
+        let motion = &mut self.estimate.motion;
         let forward = forward.map(|forward| forward - self.forward_bias);
-        estimate.motion = self.model.advance(estimate.motion, step, target, forward)?;
+        *motion = self.model.advance(*motion, step, target, forward)?;
         self.now += step.re();
         self.since += step.re();
         Some(())
@@ -172,10 +169,10 @@ impl<D: Dual> EventHandler<D> for Simulator<'_, D> {
 
     fn inertial(&mut self, _: usize, forward: D) {
         // The track has the same samples in the same order.
-        let (Some(estimate), Some(track)) = (&mut self.estimate, self.track.next()) else {
+        let Some(track) = self.track.next() else {
             return;
         };
-        let motion = &mut estimate.motion;
+        let motion = &mut self.estimate.motion;
         let seen = track.estimate.motion;
         motion.speed = D::from(seen.speed);
         self.forward_bias = track.estimate.forward_bias;
@@ -184,9 +181,8 @@ impl<D: Dual> EventHandler<D> for Simulator<'_, D> {
             self.since = 0.0;
             [motion.x, motion.y, motion.yaw] = [seen.x, seen.y, seen.yaw].map(D::from);
         }
-        let left = self
-            .model
-            .left_acceleration(motion, forward - self.forward_bias);
+        let forward = forward - self.forward_bias;
+        let left = self.model.left_acceleration(motion, forward);
         self.points.push(Simulated {
             time_s: self.now,
             sample: Sample::Inertial(*track),
@@ -197,14 +193,12 @@ impl<D: Dual> EventHandler<D> for Simulator<'_, D> {
     }
 
     fn pose(&mut self, index: usize) {
-        if let Some(estimate) = &self.estimate {
-            self.points.push(Simulated {
-                time_s: self.now,
-                sample: Sample::Pose(index),
-                motion: estimate.motion,
-                left: D::from(0.0),
-                restarted: false,
-            });
-        }
+        self.points.push(Simulated {
+            time_s: self.now,
+            sample: Sample::Pose(index),
+            motion: self.estimate.motion,
+            left: D::from(0.0),
+            restarted: false,
+        });
     }
 }

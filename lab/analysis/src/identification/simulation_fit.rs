@@ -55,18 +55,27 @@ const STARTS: [[f64; 3]; 4] = [
     [0.6, 1.6, 2.0],
 ];
 
+/// A drive, and what its simulations have in common.
+struct Simulations<'a> {
+    task: &'a Task<'a>,
+    frames: ServoFrames,
+    servo: Vec<ServoTarget>,
+    /// The levels of the filter, of which only the speed and the biases are used.
+    noise: NoiseLevels,
+    scale: Option<GyroScale>,
+    /// Yaw rate (rad/s) and sideslip (rad) of the cameras at each pose; NaN without enough poses.
+    seen: Vec<[f64; 2]>,
+    /// Whether a gyro measures the yaw rate, and an accelerometer the acceleration to the left.
+    measures: [bool; 2],
+}
+
 /// A simulation with its errors.
 #[derive(Clone, Copy)]
 struct Simulated<'a> {
-    task: &'a Task<'a>,
-    inputs: Inputs<'a>,
-    scale: Option<GyroScale>,
+    of: &'a Simulations<'a>,
+    run: &'a FilterRun,
     /// What the errors of yaw rate, sideslip and acceleration are divided by, see [`Cost::sizes`].
     sizes: [f64; 3],
-    /// Yaw rate (rad/s) and sideslip (rad) of the cameras at each pose; NaN without enough poses.
-    seen: &'a [[f64; 2]],
-    /// Whether a gyro measures the yaw rate, and an accelerometer the acceleration to the left.
-    measures: [bool; 2],
 }
 
 /// The number of an output, and the time, in s.
@@ -85,26 +94,26 @@ impl Problem for Simulated<'_> {
 impl Simulated<'_> {
     /// The errors over their sizes, each with its place.
     fn placed<D: Dual>(&self, u: &[D]) -> Option<Vec<(Place, D)>> {
-        let Task { start, active, .. } = self.task;
-        let model = Model::new(
-            start,
-            start.moved(active, u),
-            self.task.settings.structure(),
-        );
-        let mut errors = Vec::with_capacity(3 * self.inputs.data.poses.len());
-        let mut push = |output: usize, time: f64, error: D| {
-            let size = self.sizes.get(output).copied().unwrap_or(1.0);
-            errors.push(((output, time), error / size));
+        let (of, task) = (self.of, self.of.task);
+        let (data, start, settings) = (task.data, &task.start, task.settings);
+        let model = Model::new(start, start.moved(&settings.parameters, u), settings);
+        let [gyro, accelerometer] = of.measures;
+        let inputs = Inputs {
+            drive: task.drive(&of.servo),
+            run: self.run,
         };
-        for simulated in self.inputs.simulate(&model)? {
+        let mut errors = Vec::with_capacity(3 * data.poses.len());
+        let mut push = |output: usize, time: f64, error: D| {
+            errors.push(((output, time), error / self.sizes[output]));
+        };
+        for simulated in inputs.simulate(&model)? {
             let time = simulated.time_s;
             match simulated.sample {
                 Sample::Inertial(track) => {
-                    let sample = self.inputs.data.inertial.get(track.inertial)?;
-                    let [gyro, accelerometer] = self.measures;
+                    let sample = data.inertial[track.inertial];
                     if gyro {
-                        let gyro = simulated.motion.yaw_rate * model.get(Parameter::GyroScale);
-                        let expected = gyro + track.estimate.gyro_bias;
+                        let turn = simulated.motion.yaw_rate * model.get(Parameter::GyroScale);
+                        let expected = turn + track.estimate.gyro_bias;
                         push(0, time, expected - sample.yaw_rate_rad_s);
                     }
                     if accelerometer {
@@ -113,17 +122,17 @@ impl Simulated<'_> {
                     }
                 }
                 Sample::Pose(index) => {
-                    let [yaw_rate, sideslip] = *self.seen.get(index)?;
+                    let [yaw_rate, sideslip] = of.seen[index];
                     if sideslip.is_finite() {
                         push(1, time, simulated.motion.sideslip - sideslip);
                     }
-                    if yaw_rate.is_finite() && !self.measures[0] {
+                    if yaw_rate.is_finite() && !gyro {
                         push(0, time, simulated.motion.yaw_rate - yaw_rate);
                     }
                 }
             }
         }
-        if let Some(scale) = self.scale {
+        if let Some(scale) = of.scale {
             let error = model.get(Parameter::GyroScale) - scale.value;
             errors.push(((SCALE, f64::MAX), error / scale.deviation));
         }
@@ -137,7 +146,7 @@ impl Simulated<'_> {
             ..*self
         };
         let errors = errors.placed(u)?;
-        let blocks = self.task.blocks();
+        let blocks = self.of.blocks();
         let sum = |number: usize| -> f64 {
             let of_output = errors.iter().filter(|((output, _), _)| *output == number);
             of_output.map(|(_, error)| error * error).sum()
@@ -178,7 +187,7 @@ impl Simulated<'_> {
         }
         let gradient = DVector::from_column_slice(u) + sums.column_sum();
         let outputs = sums.columns(0, SCALE);
-        let curvature = &squares - outputs * outputs.transpose() * (2.0 / self.task.blocks());
+        let curvature = &squares - outputs * outputs.transpose() * (2.0 / self.of.blocks());
         Some((squares, gradient, curvature))
     }
 
@@ -260,36 +269,38 @@ impl Task<'_> {
         frames: ServoFrames,
         noise: Option<NoiseLevels>,
     ) -> Result<Fit, IdentificationError> {
-        let loose = NoiseLevels::loose(&self.vehicle());
-        let servo = frames.of(&self.data.servo);
         let poses = &self.data.poses;
         let seen = poses.iter().map(|pose| {
             let seen = data::seen(poses, pose.time_s);
             seen.map_or([f64::NAN; 2], |seen| [seen.yaw_rate, seen.sideslip])
         });
-        let seen: Vec<[f64; 2]> = seen.collect();
-        let scale = self.active.contains(&Parameter::GyroScale);
-        let scale = scale
-            .then(|| GyroScale::of(self.data, self.spans))
-            .flatten();
+        let scale = self.settings.parameters.contains(&Parameter::GyroScale);
+        let scale = scale.then(|| GyroScale::of(self.data, self.spans));
+        let simulations = Simulations {
+            task: self,
+            frames,
+            servo: frames.of(&self.data.servo),
+            noise: NoiseLevels::loose(&self.start.vehicle()),
+            scale: scale.flatten(),
+            seen: seen.collect(),
+            measures: [Channel::YawRate, Channel::Left].map(|one| self.data.measures(one)),
+        };
         let mut best: Option<(f64, Fit)> = None;
         let mut starts: Vec<Vec<f64>> = Vec::new();
         for factors in STARTS {
-            let start = self.moved(factors, scale);
+            let start = simulations.moved(factors);
             if !starts.contains(&start) {
                 starts.push(start);
             }
         }
-        let mut last = self.diverged(&vec![0.0; self.active.len()]);
+        let mut last = self.diverged(&vec![0.0; self.settings.parameters.len()]);
         let mut ways: Vec<Way> = Vec::new();
         for start in starts {
-            match self.descend(start, &ways, &servo, &seen, scale, &loose) {
+            match simulations.descend(start, &mut ways) {
                 Ok(None) => {}
-                Ok(Some((cost, fit, way))) => {
-                    ways.push(way);
-                    let better = best.as_ref().is_none_or(|(least, _)| cost < *least);
-                    if better {
-                        best = Some((cost, Fit { frames, ..fit }));
+                Ok(Some((cost, fit))) => {
+                    if best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                        best = Some((cost, fit));
                     }
                 }
                 Err(error) => last = error,
@@ -301,44 +312,45 @@ impl Task<'_> {
             ..fit
         })
     }
+}
 
+impl Simulations<'_> {
     /// The coordinates of the start, with the vehicle's three parameters changed by `factors`.
-    fn moved(&self, factors: [f64; 3], scale: Option<GyroScale>) -> Vec<f64> {
+    fn moved(&self, factors: [f64; 3]) -> Vec<f64> {
+        let task = self.task;
         let coordinate = |parameter: &Parameter| {
             let factor = match parameter {
                 Parameter::FrontStiffness => factors[0],
                 Parameter::RearStiffness => factors[1],
                 Parameter::YawInertia => factors[2],
                 Parameter::GyroScale => {
-                    scale.map_or(1.0, |scale| scale.value / self.start.get(*parameter))
+                    let start = task.start.get(*parameter);
+                    self.scale.map_or(1.0, |scale| scale.value / start)
                 }
                 _ => 1.0,
             };
             parameter.prior().coordinate_of_factor(factor)
         };
-        self.active.iter().map(coordinate).collect()
+        task.settings.parameters.iter().map(coordinate).collect()
     }
 
     /// The number of independent errors of an output.
     fn blocks(&self) -> f64 {
-        self.spans.iter().map(Span::seconds).sum::<f64>() / BLOCK
+        self.task.spans.iter().map(Span::seconds).sum::<f64>() / BLOCK
     }
 
-    /// From one start to its minimum, with the cost there and the way; none if it joins another one. A way
+    /// From one start to its minimum, with the cost there; none if it joins another of the `ways`. A way
     /// that ends at no minimum is not among these: each start fails by itself.
     fn descend(
         &self,
         u: Vec<f64>,
-        ways: &[Way],
-        servo: &[ServoTarget],
-        seen: &[[f64; 2]],
-        scale: Option<GyroScale>,
-        noise: &NoiseLevels,
-    ) -> Result<Option<(f64, Fit, Way)>, IdentificationError> {
+        ways: &mut Vec<Way>,
+    ) -> Result<Option<(f64, Fit)>, IdentificationError> {
+        let task = self.task;
         let at = |u: Vec<f64>| {
-            let run = self.run_filter(servo, &u, noise)?;
-            let cost = self.simulated(servo, seen, scale, &run).cost(&u);
-            let cost = cost.ok_or_else(|| self.diverged(&u))?;
+            let run = task.run_filter(&self.servo, &u, &self.noise)?;
+            let cost = self.with(&run).cost(&u);
+            let cost = cost.ok_or_else(|| task.diverged(&u))?;
             Ok((u, run, cost))
         };
         let (mut u, mut run, mut cost) = at(u)?;
@@ -347,8 +359,7 @@ impl Task<'_> {
         let mut way = Way::new();
         let mut rises = 0;
         for _ in 0..FILTER_RUNS {
-            let problem = self.simulated(servo, seen, scale, &run);
-            let Some(least) = problem.minimise(&u) else {
+            let Some(least) = self.with(&run).minimise(&u) else {
                 break;
             };
             let mut others = ways.iter().flatten();
@@ -373,8 +384,8 @@ impl Task<'_> {
         (u, run, cost) = at(best.1)?;
         let mut unsettled = None;
         for _ in 0..FILTER_RUNS {
-            let problem = self.simulated(servo, seen, scale, &run);
-            let least = problem.minimise(&u).ok_or_else(|| self.diverged(&u))?;
+            let least = self.with(&run).minimise(&u);
+            let least = least.ok_or_else(|| task.diverged(&u))?;
             let next = PARTS.iter().find_map(|part| {
                 let steps = u.iter().zip(&least.u);
                 let next = steps.map(|(u, least)| u + part * (least - u)).collect();
@@ -390,43 +401,30 @@ impl Task<'_> {
         let times: Vec<f64> = cost.errors.iter().map(|((_, time), _)| *time).collect();
         let weighed = Simulated {
             sizes: cost.sizes,
-            ..self.simulated(servo, seen, scale, &run)
+            ..self.with(&run)
         };
         let spread = spread(&weighed, &u, &times, BLOCK);
-        let spread = spread.ok_or_else(|| self.diverged(&u))?;
+        let spread = spread.ok_or_else(|| task.diverged(&u))?;
         let fit = Fit {
-            values: self.values(&u),
+            values: task.values(&u),
             u,
-            noise: *noise,
-            frames: ServoFrames::Every,
+            noise: self.noise,
+            frames: self.frames,
             spread,
             lead: f64::INFINITY,
             unsettled,
             run,
         };
-        Ok(Some((cost.value, fit, way)))
+        ways.push(way);
+        Ok(Some((cost.value, fit)))
     }
 
-    /// The simulation of the drive with this run of the filter.
-    fn simulated<'a>(
-        &'a self,
-        servo: &'a [ServoTarget],
-        seen: &'a [[f64; 2]],
-        scale: Option<GyroScale>,
-        run: &'a FilterRun,
-    ) -> Simulated<'a> {
+    /// The simulation with this run of the filter.
+    const fn with<'a>(&'a self, run: &'a FilterRun) -> Simulated<'a> {
         Simulated {
-            task: self,
-            inputs: Inputs {
-                data: self.data,
-                servo,
-                spans: self.spans,
-                run,
-            },
-            scale,
+            of: self,
+            run,
             sizes: [1.0; 3],
-            seen,
-            measures: [Channel::YawRate, Channel::Left].map(|one| self.data.measures(one)),
         }
     }
 }

@@ -7,7 +7,7 @@ use singletrack_control::statistics::Line;
 use singletrack_control::wrap;
 
 use super::{
-    data::{DriveData, Pose, ServoTarget, Span},
+    data::{Drive, Pose, Span},
     model::{Model, Motion},
     parameter::{Parameter, Values},
 };
@@ -27,8 +27,19 @@ pub(super) struct StateEstimate<D> {
 /// forward acceleration. The steering angle is no state: it follows from the servo's targets.
 pub(super) const STATES: usize = 8;
 
-impl<D: Copy> StateEstimate<D> {
-    pub(super) const fn of(states: [D; STATES], steering: D) -> Self {
+impl<D: Dual> StateEstimate<D> {
+    /// What the gyro measures, in rad/s.
+    pub(super) fn gyro(&self, model: &Model<D>) -> D {
+        self.motion.yaw_rate * model.get(Parameter::GyroScale) + self.gyro_bias
+    }
+
+    /// What the accelerometer measures to the left where it measures `forward`, in m/s².
+    pub(super) fn left(&self, model: &Model<D>, forward: D) -> D {
+        model.left_acceleration(&self.motion, forward - self.forward_bias)
+            + model.get(Parameter::LateralBias)
+    }
+
+    pub(super) fn of(states: [D; STATES], steering: D) -> Self {
         let [x, y, yaw, yaw_rate, sideslip, speed, biases @ ..] = states;
         let [gyro_bias, forward_bias] = biases;
         Self {
@@ -46,7 +57,7 @@ impl<D: Copy> StateEstimate<D> {
         }
     }
 
-    pub(super) const fn states(&self) -> [D; STATES] {
+    pub(super) fn states(&self) -> [D; STATES] {
         let m = &self.motion;
         let (gyro, forward) = (self.gyro_bias, self.forward_bias);
         [
@@ -57,8 +68,8 @@ impl<D: Copy> StateEstimate<D> {
 
 /// A consumer of the events of a stretch.
 pub(super) trait EventHandler<D> {
-    /// The stretch begins with this estimate.
-    fn begin(&mut self, estimate: StateEstimate<D>);
+    /// A stretch begins at this time, in s, with this estimate.
+    fn begin(&mut self, time: f64, estimate: StateEstimate<D>);
     /// `step` seconds pass, in which the measured forward acceleration changes linearly from
     /// `forward[0]` to `forward[1]`. None where the model is not defined.
     fn advance(&mut self, step: D, target: f64, forward: [D; 2]) -> Option<()>;
@@ -84,21 +95,34 @@ const SERVO_LEAD: f64 = 0.6;
 /// not depend on their delay, in s.
 const MARGIN: f64 = 0.02;
 
-/// Passes the events of a stretch to `handler`. `servo` are the targets that begin a pulse.
-///
-/// The events are in the order of their times at the delays of `order`, those of equal times in the
-/// order of [`EventKind`]. At other delays some come up to the difference too early, and time runs
-/// back a little: so every prediction is a smooth function of the delays, also where the times of
-/// two samples are equal. None where the model is not defined.
-pub(super) fn replay<D: Dual>(
-    data: &DriveData,
-    servo: &[ServoTarget],
+impl Drive<'_> {
+    /// Passes the events of the stretches to `handler`.
+    ///
+    /// The events are in the order of their times at the delays of `order`, those of equal times in the
+    /// order of [`EventKind`]. At other delays some come up to the difference too early, and time runs
+    /// back a little: so every prediction is a smooth function of the delays, also where the times of
+    /// two samples are equal. None where the model is not defined.
+    pub(super) fn replay<D: Dual>(
+        &self,
+        model: &Model<D>,
+        order: &Values,
+        handler: &mut impl EventHandler<D>,
+    ) -> Option<()> {
+        let mut spans = self.spans.iter();
+        spans.try_for_each(|span| replay(self, *span, model, order, handler))
+    }
+}
+
+/// Passes the events of a stretch to `handler`, as [`Drive::replay`] does.
+fn replay<D: Dual>(
+    drive: &Drive<'_>,
     span: Span,
     model: &Model<D>,
     order: &Values,
     handler: &mut impl EventHandler<D>,
 ) -> Option<()> {
-    let events = ordered(data, servo, span, order);
+    let Drive { data, servo, .. } = drive;
+    let events = ordered(drive, span, order);
     let delay = model.get(Parameter::SteeringDelay);
     let inertial_delay = model.get(Parameter::InertialDelay);
     let measured = |index: usize| {
@@ -108,9 +132,13 @@ pub(super) fn replay<D: Dual>(
     let start = D::from(span.start_s);
     let lead = span.start_s - SERVO_LEAD;
     let first = order.get(Parameter::SteeringDelay);
-    let (mut steering, mut target) = steering_before(servo, lead - first, model);
+    // Before, the servo is at rest.
+    let before = servo.partition_point(|command| command.time_s <= lead - first);
+    let before = servo.get(before.saturating_sub(1));
+    let mut target = before.map_or(0.0, |command| command.angle_rad);
+    let mut steering = model.rest(target);
     let mut now = D::from(lead);
-    for command in servo {
+    for command in *servo {
         let at = command.time_s + first;
         if at > lead && at <= span.start_s {
             let time = delay + command.time_s;
@@ -126,33 +154,32 @@ pub(super) fn replay<D: Dual>(
         sample.time_s - order.get(Parameter::InertialDelay) <= span.start_s
     });
     let mut before = after.saturating_sub(1);
-    let forward_at = |before: usize, time: D| {
-        let none = D::from(0.0);
-        match (measured(before), measured(before + 1)) {
-            (Some((from, one)), Some((to, other))) if (to - from).re() > 0.0 => {
-                (time - from) / (to - from) * (other - one) + one
-            }
-            (Some((_, value)), _) => D::from(value),
-            _ => none,
+    let forward_at = |before: usize, time: D| match (measured(before), measured(before + 1)) {
+        (Some((from, one)), Some((to, other))) if (to - from).re() > 0.0 => {
+            (time - from) / (to - from) * (other - one) + one
         }
+        (at, _) => D::from(at.map_or(0.0, |(_, value)| value)),
     };
-    handler.begin(initial_estimate(data, span.start_s, steering)?);
+    handler.begin(
+        span.start_s,
+        initial_estimate(&data.poses, span.start_s, steering)?,
+    );
     let mut now = start;
     for kind in events {
         let time = match kind {
-            EventKind::Pose(index) => D::from(data.poses.get(index)?.time_s),
+            EventKind::Pose(index) => D::from(data.poses[index].time_s),
             EventKind::Inertial(index) => measured(index)?.0,
-            EventKind::Servo(index) => delay + servo.get(index)?.time_s,
+            EventKind::Servo(index) => delay + servo[index].time_s,
         };
         let step = time - now;
         let forward = [forward_at(before, now), forward_at(before, time)];
         handler.advance(step, target, forward)?;
         now = time;
         match kind {
-            EventKind::Servo(index) => target = servo.get(index)?.angle_rad,
+            EventKind::Servo(index) => target = servo[index].angle_rad,
             EventKind::Inertial(index) => {
                 before = index;
-                handler.inertial(index, D::from(measured(index)?.1));
+                handler.inertial(index, D::from(data.inertial[index].forward_m_s2));
             }
             EventKind::Pose(index) => handler.pose(index),
         }
@@ -161,61 +188,45 @@ pub(super) fn replay<D: Dual>(
 }
 
 /// The events of a stretch, in order.
-fn ordered(data: &DriveData, servo: &[ServoTarget], span: Span, order: &Values) -> Vec<EventKind> {
-    let mut events: Vec<(f64, EventKind)> = Vec::new();
+fn ordered(drive: &Drive<'_>, span: Span, order: &Values) -> Vec<EventKind> {
+    let Drive { data, servo, .. } = drive;
     let inner = Span {
         start_s: span.start_s + MARGIN,
         end_s: span.end_s - MARGIN,
     };
-    for (index, pose) in data.poses.iter().enumerate() {
-        if span.contains(pose.time_s) && pose.time_s > span.start_s {
-            events.push((pose.time_s, EventKind::Pose(index)));
-        }
-    }
+    let delay = order.get(Parameter::SteeringDelay);
+    let poses = (0..).zip(&data.poses);
+    let poses = poses.map(|(index, pose)| (pose.time_s, EventKind::Pose(index)));
+    let servo = (0..).zip(*servo);
+    let servo = servo.map(|(index, target)| (target.time_s + delay, EventKind::Servo(index)));
+    let events = poses.chain(servo);
+    let mut events: Vec<(f64, EventKind)> = events
+        .filter(|(time, _)| *time > span.start_s && *time <= span.end_s)
+        .collect();
     for (index, sample) in data.inertial.iter().enumerate() {
         if inner.contains(sample.time_s) {
             let time = sample.time_s - order.get(Parameter::InertialDelay);
             events.push((time, EventKind::Inertial(index)));
         }
     }
-    for (index, command) in servo.iter().enumerate() {
-        let time = command.time_s + order.get(Parameter::SteeringDelay);
-        if time > span.start_s && time <= span.end_s {
-            events.push((time, EventKind::Servo(index)));
-        }
-    }
     events.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)));
     events.into_iter().map(|(_, kind)| kind).collect()
 }
 
-/// Steering angle and target after the targets until `time`, with the servo at rest.
-fn steering_before<D: Dual>(servo: &[ServoTarget], time: f64, model: &Model<D>) -> (D, f64) {
-    let after = servo.partition_point(|command| command.time_s <= time);
-    let target = servo
-        .get(after.saturating_sub(1))
-        .map_or(0.0, |command| command.angle_rad);
-    (model.rest(target), target)
-}
-
 /// The motion at `time`, from a linear fit to the poses around it.
-fn initial_estimate<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option<StateEstimate<D>> {
+fn initial_estimate<D: Dual>(poses: &[Pose], time: f64, steering: D) -> Option<StateEstimate<D>> {
     const REACH: usize = 4;
     /// In s.
     const AROUND: f64 = 0.3;
-    let at = data.poses.partition_point(|pose| pose.time_s < time);
-    let from = at.saturating_sub(REACH);
-    let pose = data.poses.get(at)?;
-    let around = data
-        .poses
-        .get(from..(at + REACH + 1).min(data.poses.len()))?;
+    let at = poses.partition_point(|pose| pose.time_s < time);
+    let pose = poses.get(at)?;
+    let around = &poses[at.saturating_sub(REACH)..(at + REACH + 1).min(poses.len())];
     // None of another drive.
     let near = |other: &&Pose| (other.time_s - time).abs() <= AROUND;
     let around: Vec<&Pose> = around.iter().filter(near).collect();
     let line = |value: &dyn Fn(&Pose) -> f64| {
-        let points = around
-            .iter()
-            .map(|other| [other.time_s - time, value(other)]);
-        Line::through(points)
+        let points = around.iter();
+        Line::through(points.map(|other| [other.time_s - time, value(other)]))
     };
     let [x, y] = [line(&|other| other.x_m), line(&|other| other.y_m)];
     let turned = line(&|other| wrap(other.yaw_rad - pose.yaw_rad));

@@ -17,7 +17,7 @@ pub(super) struct Spread {
 
 /// Standard deviations at u = 0 from the information matrix alone, without the prior.
 pub(super) fn bounds(prediction: &Prediction<'_>) -> Option<Vec<f64>> {
-    let count = prediction.active.len();
+    let count = prediction.settings.parameters.len();
     let jacobian = prediction.jacobian(&vec![0.0; count])?;
     let rows = jacobian.rows(0, jacobian.nrows() - count);
     let covariance = rows.tr_mul(&rows).cholesky()?.inverse();

@@ -1,5 +1,6 @@
 //! Warnings about the quality of the estimates.
 
+use nalgebra::DMatrix;
 use singletrack_control::{GRAVITY, Tyres};
 
 use super::{
@@ -138,20 +139,16 @@ pub(super) fn of_fit(fit: &Fit, tyres: Tyres, criterion: Criterion) -> Vec<Warni
 
 /// Warnings from the simulation's score.
 pub(super) fn of_score(score: &Score) -> Vec<Warning> {
-    let unfitted = score
-        .outputs
-        .iter()
-        .filter(|one| !one.rms.is_nan())
-        .filter(|one| one.fit_percent.is_nan() || one.fit_percent <= 0.0);
-    unfitted
-        .map(|one| Warning::Unfitted(one.output, one.fit_percent))
-        .collect()
+    let measured = score.outputs.iter().filter(|one| !one.rms.is_nan());
+    let unfitted = measured.filter(|one| one.fit_percent.is_nan() || one.fit_percent <= 0.0);
+    let warnings = unfitted.map(|one| Warning::Unfitted(one.output, one.fit_percent));
+    warnings.collect()
 }
 
 /// Warnings from the estimates, their correlations, the residuals and the drive.
 pub(super) fn warnings(
     estimates: &[Estimate],
-    correlation: impl Fn(usize, usize) -> f64,
+    correlation: &DMatrix<f64>,
     residuals: &[Residuals],
     stretches: &[Span],
     track: &[TrackPoint],
@@ -167,10 +164,10 @@ pub(super) fn warnings(
     }
     for (index, one) in estimates.iter().enumerate() {
         for (offset, other) in estimates.iter().skip(index + 1).enumerate() {
-            let correlation = correlation(index, index + 1 + offset);
+            let correlation = correlation[(index, index + 1 + offset)];
             let vague = |estimate: &Estimate| {
-                estimate.standard_deviation.is_nan()
-                    || estimate.standard_deviation > VAGUE * estimate.value.abs()
+                let deviation = estimate.standard_deviation;
+                deviation.is_nan() || deviation > VAGUE * estimate.value.abs()
             };
             if correlation.abs() > ALIKE && (vague(one) || vague(other)) {
                 let parameters = [one.parameter, other.parameter];
@@ -229,7 +226,8 @@ mod tests {
                     estimate(Parameter::RearStiffness, deviation),
                 ])
                 .collect();
-            let found = warnings(&estimates, |_, _| 0.0, &[], &[], &[]);
+            let correlation = DMatrix::zeros(estimates.len(), estimates.len());
+            let found = warnings(&estimates, &correlation, &[], &[], &[]);
             let vague = found.into_iter().filter_map(|warning| match warning {
                 Warning::NotTold(parameter, _) => Some(parameter),
                 _ => None,

@@ -72,16 +72,15 @@ impl Interval {
 
     pub(super) fn square(self) -> Self {
         let ends = self * self;
-        let is_about_zero = self.low <= 0.0 && self.high >= 0.0;
-        let product = if is_about_zero {
-            let most = self.high.max(-self.low);
-            Self::between(0.0, (most * most).next_up())
-        } else {
-            let [low, high] = [self.low.abs(), self.high.abs()];
-            let [least, most] = [low.min(high), low.max(high)];
-            Self::outward(least * least, most * most)
-        };
-        if ends.low.is_nan() { ends } else { product }
+        let [low, high] = [self.low.abs(), self.high.abs()];
+        let [least, most] = [low.min(high), low.max(high)];
+        match () {
+            () if ends.low.is_nan() => ends,
+            () if self.low <= 0.0 && self.high >= 0.0 => {
+                Self::between(0.0, (most * most).next_up())
+            }
+            () => Self::outward(least * least, most * most),
+        }
     }
 
     fn hull(self, other: Self) -> Self {

@@ -106,7 +106,7 @@ fn boundary(
 }
 
 /// The eigenvalues of a steady motion: three or four.
-pub type Eigenvalues = heapless::Vec<Complex<f64>, 4>;
+pub type Eigenvalues = Vec<Complex<f64>>;
 
 /// Limit of the steps of the QR algorithm, more than a matrix of this size needs.
 pub(super) const MOST_STEPS: usize = 10_000;
@@ -134,13 +134,12 @@ impl ClosedLoop {
         let mut eigenvalues: Eigenvalues = match schur {
             Some(schur) => {
                 let found = schur.complex_eigenvalues();
-                let polished = found.iter().map(|root| polynomial.polished(*root));
-                polished.collect()
+                found
+                    .iter()
+                    .map(|root| polynomial.polished(*root))
+                    .collect()
             }
-            None => {
-                let unknown = Complex::new(f64::NAN, f64::NAN);
-                polynomial.coefficients().iter().map(|_| unknown).collect()
-            }
+            None => vec![Complex::new(f64::NAN, f64::NAN); polynomial.coefficients().len()],
         };
         eigenvalues.sort_unstable_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
         eigenvalues
@@ -152,9 +151,7 @@ fn jacobian<const N: usize>(field: &impl VectorField<N>) -> DMatrix<f64> {
     let mut jacobian = DMatrix::zeros(N, N);
     for column in 0..N {
         let mut state = [Dual64::from(0.0); N];
-        if let Some(state) = state.get_mut(column) {
-            state.eps = 1.0;
-        }
+        state[column].eps = 1.0;
         let slope = field.slope(state).map(|slope| slope.eps);
         jacobian.column_mut(column).copy_from_slice(&slope);
     }

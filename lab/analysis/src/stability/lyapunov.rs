@@ -12,6 +12,8 @@
 //! (The straight steady motion is its own mirror image, so that B is zero there. It is
 //! computed nevertheless.)
 
+use core::array::from_fn;
+
 use nalgebra::{Complex, DMatrix, DVector};
 use num_dual::{HyperDual64, HyperHyperDual64};
 
@@ -95,59 +97,38 @@ pub(super) fn null_vector(matrix: DMatrix<Complex<f64>>) -> Option<Vector> {
 /// B(u, v): the second derivatives along two complex directions.
 fn second<const N: usize>(field: &impl VectorField<N>, u: &Vector, v: &Vector) -> Vector {
     let along = |u: &[f64; N], v: &[f64; N]| {
-        let mut state = [HyperDual64::from(0.0); N];
-        for ((state, u), v) in state.iter_mut().zip(u).zip(v) {
-            (state.eps1, state.eps2) = (*u, *v);
-        }
+        let state = from_fn(|row| HyperDual64::new(0.0, u[row], v[row], 0.0));
         field.slope(state).map(|slope| slope.eps1eps2)
     };
     let ([ur, ui], [vr, vi]) = (parts(u), parts(v));
-    let (rr, ii, ri, ir) = (
-        along(&ur, &vr),
-        along(&ui, &vi),
-        along(&ur, &vi),
-        along(&ui, &vr),
-    );
-    Vector::from_iterator(
-        N,
-        rr.iter()
-            .zip(ii)
-            .zip(ri.iter().zip(ir))
-            .map(|((rr, ii), (ri, ir))| Complex::new(rr - ii, ri + ir)),
-    )
+    let [rr, ii] = [along(&ur, &vr), along(&ui, &vi)];
+    let [ri, ir] = [along(&ur, &vi), along(&ui, &vr)];
+    Vector::from_fn(N, |row, _| {
+        Complex::new(rr[row] - ii[row], ri[row] + ir[row])
+    })
 }
 
 /// C(q, q, q̄): with q = a + i b it is C(a, a, a) + C(a, b, b) + i (C(a, a, b) + C(b, b, b)).
 fn third<const N: usize>(field: &impl VectorField<N>, q: &Vector) -> Vector {
     let along = |u: &[f64; N], v: &[f64; N], w: &[f64; N]| {
-        let mut state = [HyperHyperDual64::from(0.0); N];
-        for (((state, u), v), w) in state.iter_mut().zip(u).zip(v).zip(w) {
-            (state.eps1, state.eps2, state.eps3) = (*u, *v, *w);
-        }
+        let state = from_fn(|row| {
+            let mut state = HyperHyperDual64::from(0.0);
+            (state.eps1, state.eps2, state.eps3) = (u[row], v[row], w[row]);
+            state
+        });
         field.slope(state).map(|slope| slope.eps1eps2eps3)
     };
     let [a, b] = parts(q);
-    let (aaa, abb) = (along(&a, &a, &a), along(&a, &b, &b));
-    let (aab, bbb) = (along(&a, &a, &b), along(&b, &b, &b));
-    Vector::from_iterator(
-        N,
-        aaa.iter()
-            .zip(abb)
-            .zip(aab.iter().zip(bbb))
-            .map(|((aaa, abb), (aab, bbb))| Complex::new(aaa + abb, aab + bbb)),
-    )
+    let [aaa, abb] = [along(&a, &a, &a), along(&a, &b, &b)];
+    let [aab, bbb] = [along(&a, &a, &b), along(&b, &b, &b)];
+    Vector::from_fn(N, |row, _| {
+        Complex::new(aaa[row] + abb[row], aab[row] + bbb[row])
+    })
 }
 
 /// The real and the imaginary part.
 fn parts<const N: usize>(vector: &Vector) -> [[f64; N]; 2] {
-    let part = |of: fn(&Complex<f64>) -> f64| {
-        let mut part = [0.0; N];
-        for (part, entry) in part.iter_mut().zip(vector.iter()) {
-            *part = of(entry);
-        }
-        part
-    };
-    [part(|entry| entry.re), part(|entry| entry.im)]
+    [from_fn(|row| vector[row].re), from_fn(|row| vector[row].im)]
 }
 
 #[cfg(test)]

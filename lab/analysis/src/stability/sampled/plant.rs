@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use num_dual::Dual64;
-use singletrack_control::{LateralMotion, SingleTrack, SingleTrackState, VehicleParameters};
+use singletrack_control::{SingleTrack, SingleTrackState, VehicleParameters};
 
 use crate::dual::DualFunctions;
 
@@ -39,10 +39,8 @@ impl Plant {
         let by_steering = DVector::from_row_slice(&by_steering);
         let (own, input) = match steering {
             Steering::Angle => {
-                return Self {
-                    dynamics: car,
-                    input: by_steering,
-                };
+                let (dynamics, input) = (car, by_steering);
+                return Self { dynamics, input };
             }
             Steering::Rate => (0.0, 1.0),
             Steering::Servo(lag) => (-1.0 / lag, 1.0 / lag),
@@ -92,9 +90,7 @@ impl Plant {
 /// steering at the steady motion: equations 1 and 2 without the position along the path.
 fn slope(vehicle: &VehicleParameters, speed: f64, variable: usize) -> [f64; 4] {
     let mut variables = [Dual64::from(0.0); 5];
-    if let Some(variable) = variables.get_mut(variable) {
-        variable.eps = 1.0;
-    }
+    variables[variable].eps = 1.0;
     let [y, yaw, yaw_rate, sideslip, steering] = variables;
     let state = SingleTrackState {
         x: Dual64::from(0.0),
@@ -104,12 +100,7 @@ fn slope(vehicle: &VehicleParameters, speed: f64, variable: usize) -> [f64; 4] {
         sideslip,
     };
     let speed = Dual64::from(speed);
-    let lateral = SingleTrack::new(*vehicle).lateral(&LateralMotion {
-        yaw_rate,
-        sideslip,
-        speed,
-        steering,
-    });
+    let lateral = SingleTrack::new(*vehicle).lateral(&state.lateral(speed, steering));
     let rate = state.derivative::<DualFunctions>(speed, lateral);
     [rate.y, rate.yaw, rate.yaw_rate, rate.sideslip].map(|rate| rate.eps)
 }

@@ -60,7 +60,7 @@ impl SampledLoop {
     /// oldest, the held pose (position, yaw), and what else is remembered. The servo takes the
     /// command of this tick, or keeps the last one.
     pub(super) fn tick(&self, has_pose: bool, takes: bool) -> DMatrix<f64> {
-        let speed = self.closed_loop.speed;
+        let (speed, period) = (self.closed_loop.speed, self.timing.period);
         let steering = self.steering();
         let plant = Plant::new(&self.closed_loop.vehicle, speed, steering);
         let delay = self.whole_delay();
@@ -75,12 +75,12 @@ impl SampledLoop {
         };
         let mut map = DMatrix::<f64>::zeros(layout.size, layout.size);
         map.view_mut((0, 0), (states, states))
-            .copy_from(&plant.transition(self.timing.period));
-        let inputs = plant.split_input(self.timing.period, delay.late);
+            .copy_from(&plant.transition(period));
+        let inputs = plant.split_input(period, delay.late);
         add_input(&mut map, &layout, &taken, 0, delay.ticks, &inputs);
         for &(state, first, age) in &layout.aged {
             // The state so late before the next tick.
-            let until = self.timing.period - age.late;
+            let until = period - age.late;
             let transition = plant.transition(until);
             map.view_mut((first, 0), (1, states))
                 .copy_from(&transition.row(state));
@@ -95,14 +95,7 @@ impl SampledLoop {
         if let (Some(model), Some(compensation)) = (layout.model, self.timing.compensation) {
             let given = |age| layout.given(Some(&command), age);
             let now = layout.modelled(model);
-            let next = compensation.run(
-                speed,
-                self.timing.period,
-                self.timing.period,
-                now,
-                given,
-                |_, _| {},
-            );
+            let next = compensation.run(speed, period, period, now, given, |_, _| {});
             map.set_row(model, &next.wheels.transpose());
             map.set_row(model + 1, &next.yaw_rate.transpose());
             map.set_row(model + 2, &next.sideslip.transpose());
@@ -111,13 +104,10 @@ impl SampledLoop {
             (layout.modelled, modelled_delay, self.timing.prediction)
         {
             let follows = |time: f64| 1.0 - libm::exp(-time / prediction.lag);
-            let rest = self.timing.period - delay.late;
-            map[(row, row)] = libm::exp(-self.timing.period / prediction.lag);
-            let inputs = [
-                libm::exp(-rest / prediction.lag) * follows(delay.late),
-                follows(rest),
-            ]
-            .map(|input| DVector::from_element(1, input));
+            let rest = period - delay.late;
+            map[(row, row)] = libm::exp(-period / prediction.lag);
+            let begin = libm::exp(-rest / prediction.lag) * follows(delay.late);
+            let inputs = [begin, follows(rest)].map(|input| DVector::from_element(1, input));
             add_input(&mut map, &layout, &taken, row, delay.ticks, &inputs);
         }
         for (first, newest) in [(layout.taken, &taken), (layout.commands, &command)] {
@@ -203,39 +193,32 @@ impl SampledLoop {
     /// The name of each state of the loop, in the order of [`SampledLoop::tick`].
     pub(super) fn names(&self) -> Vec<String> {
         const PLANT: [&str; 5] = ["y", "yaw", "yaw_rate", "sideslip", "wheels"];
-        let states = if self.steering() == Steering::Angle {
-            4
-        } else {
-            5
+        let states = match self.steering() {
+            Steering::Angle => 4,
+            Steering::Rate | Steering::Servo(_) => 5,
         };
         let layout = self.layout(states);
         let mut names = vec![String::new(); layout.size];
-        let mut name = |at: usize, text: String| {
-            if let Some(name) = names.get_mut(at) {
-                *name = text;
-            }
-        };
-        for (at, plant) in PLANT.iter().take(states).enumerate() {
-            name(at, (*plant).to_owned());
+        for (name, plant) in names.iter_mut().zip(&PLANT[..states]) {
+            *name = (*plant).to_owned();
         }
         if let Some(at) = layout.modelled {
-            name(at, "modelled_wheels".to_owned());
+            names[at] = "modelled_wheels".to_owned();
         }
         for age in 0..layout.pending {
-            name(layout.taken + age, format!("pulse_{}", age + 1));
-            name(layout.commands + age, format!("command_{}", age + 1));
+            names[layout.taken + age] = format!("pulse_{}", age + 1);
+            names[layout.commands + age] = format!("command_{}", age + 1);
         }
-        name(layout.held + POSITION, "held_y".to_owned());
-        name(layout.held + YAW, "held_yaw".to_owned());
+        names[layout.held + POSITION] = "held_y".to_owned();
+        names[layout.held + YAW] = "held_yaw".to_owned();
         for (state, first, age) in &layout.aged {
             for tick in 0..=age.ticks {
-                let state = PLANT.get(*state).unwrap_or(&"");
-                name(first + tick, format!("{state}_{}", tick + 1));
+                names[first + tick] = format!("{}_{}", PLANT[*state], tick + 1);
             }
         }
         if let Some(model) = layout.model {
             for (at, of) in ["wheels", "yaw_rate", "sideslip"].iter().enumerate() {
-                name(model + at, format!("model_{of}"));
+                names[model + at] = format!("model_{of}");
             }
         }
         if self.timing.position_gain == 0.0 {
