@@ -86,8 +86,8 @@ pub use reference::{
 };
 pub use riccati::{QuadraticRegulator, Regulated, RiccatiError};
 pub use safety_filter::{
-    Filtered, FilteredDemand, GENTLE_BEND, MAX_STEERING_TICKS, ROOM_DIRECTIONS, SafetyConfig,
-    SafetyConfigError, SafetyFilter, SafetyInput, StopBox,
+    Filtered, GENTLE_BEND, MAX_STEERING_TICKS, ROOM_DIRECTIONS, SafetyConfig, SafetyConfigError,
+    SafetyFilter, SafetyInput, StopBox,
 };
 pub use setpoint::{
     Demand, MAX_TRAJECTORY_POINTS, Setpoint, SetpointError, SetpointStamp, SpeedDemand,

@@ -15,10 +15,9 @@ pub const MAX_TRAJECTORY_POINTS: usize = 100;
 /// The largest values of a set-point. Beyond them it is a mistake for any car; the limits of
 /// the car are applied to the rest.
 const MAX_COORDINATE: f64 = 10_000.0;
-const MAX_VELOCITY: f64 = 100.0;
-const MAX_ACCELERATION: f64 = 100.0;
 const MAX_STEERING: f64 = core::f64::consts::FRAC_PI_2;
-const MAX_STEERING_RATE: f64 = 100.0;
+/// In m/s, m/s² and rad/s.
+const MAX_RATE: f64 = 100.0;
 
 /// The longest time until a trajectory begins, s.
 const MAX_START: f64 = 1.0;
@@ -194,28 +193,20 @@ impl Demand {
                     SteeringDemand::AngleWithin { angle, rate } => (angle, rate),
                     SteeringDemand::Rate(rate) => (0.0, rate),
                 };
-                let (value, most, text) = match speed {
-                    SpeedDemand::Speed(speed) => (
-                        speed,
-                        MAX_VELOCITY,
-                        "speed_m_s must lie between -100 and 100",
-                    ),
-                    SpeedDemand::RearSpeed(speed) => (
-                        speed,
-                        MAX_VELOCITY,
-                        "rear_speed_m_s must lie between -100 and 100",
-                    ),
-                    SpeedDemand::Acceleration(acceleration) => (
-                        acceleration,
-                        MAX_ACCELERATION,
-                        "acceleration_m_s2 must lie between -100 and 100",
-                    ),
+                let (value, text) = match speed {
+                    SpeedDemand::Speed(it) => (it, "speed_m_s must lie between -100 and 100"),
+                    SpeedDemand::RearSpeed(it) => {
+                        (it, "rear_speed_m_s must lie between -100 and 100")
+                    }
+                    SpeedDemand::Acceleration(it) => {
+                        (it, "acceleration_m_s2 must lie between -100 and 100")
+                    }
                 };
                 let of_angle = "steering_rad must lie between -pi/2 and pi/2";
                 let of_rate = "steering_rate_rad_s must lie between -100 and 100";
                 within(&[angle], MAX_STEERING, of_angle)?;
-                within(&[rate], MAX_STEERING_RATE, of_rate)?;
-                within(&[value], most, text)
+                within(&[rate], MAX_RATE, of_rate)?;
+                within(&[value], MAX_RATE, text)
             }
         }
     }
@@ -275,7 +266,7 @@ impl Trajectory {
                     "the points of a trajectory must be in order of time",
                 ));
             }
-            if (next.position - point.position).norm() > MAX_VELOCITY * time {
+            if (next.position - point.position).norm() > MAX_RATE * time {
                 return Err(SetpointError::OutOfRange(
                     "two points of a trajectory are more than 100 m/s apart",
                 ));
@@ -294,49 +285,39 @@ impl Trajectory {
     /// P should stand there.
     pub fn at(&self, now: Time) -> Option<ReferencePoint> {
         let next = self.points.partition_point(|point| point.time <= now);
-        let stands = |point: &TrajectoryPoint| ReferencePoint {
-            position: Some(point.position),
-            velocity: Velocity::zeros(),
-        };
-        let Some(end) = self.points.get(next) else {
-            return self.points.last().map(stands);
-        };
         let begin = next.checked_sub(1).and_then(|index| self.points.get(index));
-        Some(begin.map_or_else(
-            || stands(end),
-            |begin| {
-                let duration = end.time.seconds_since(begin.time);
-                let part = now.seconds_since(begin.time) / duration;
-                let way = end.position - begin.position;
-                // The curve is the straight line and a correction at either end.
-                let (from, from_rate) = decay(part);
-                let (to, to_rate) = decay(1.0 - part);
-                let slope = way / duration;
-                let (before, after) = (begin.velocity - slope, end.velocity - slope);
-                ReferencePoint {
-                    position: Some(
-                        begin.position
-                            + way * part
-                            + duration * (before * from.velocity - after * to.velocity),
-                    ),
-                    velocity: slope + before * from_rate.velocity + after * to_rate.velocity,
-                }
-            },
-        ))
+        let end = self.points.get(next);
+        let (Some(begin), Some(end)) = (begin, end) else {
+            return Some(ReferencePoint {
+                position: Some(begin.or(end)?.position),
+                velocity: Velocity::zeros(),
+            });
+        };
+        let duration = end.time.seconds_since(begin.time);
+        let part = now.seconds_since(begin.time) / duration;
+        let way = end.position - begin.position;
+        // The curve is the straight line and a correction at either end.
+        let (from, from_rate) = decay(part);
+        let (to, to_rate) = decay(1.0 - part);
+        let slope = way / duration;
+        let (before, after) = (begin.velocity - slope, end.velocity - slope);
+        let bent = duration * (before * from.velocity - after * to.velocity);
+        Some(ReferencePoint {
+            position: Some(begin.position + way * part + bent),
+            velocity: slope + before * from_rate.velocity + after * to_rate.velocity,
+        })
     }
 
     /// The pieces in which it reaches the pilot.
     pub fn pieces(&self) -> impl Iterator<Item = TrajectoryPiece> + '_ {
         let count = self.points.len() as u8;
-        self.points
-            .iter()
-            .enumerate()
-            .map(move |(index, point)| TrajectoryPiece {
-                stamp: self.stamp,
-                index: index as u8,
-                count,
-                point: *point,
-            })
+        let points = (0..).zip(&self.points);
+        points.map(move |(index, point)| TrajectoryPiece {
+            stamp: self.stamp,
+            index,
+            count,
+            point: *point,
+        })
     }
 }
 
@@ -351,32 +332,25 @@ pub(crate) struct Share {
 /// from 0 with the slope one. Returns their values and slopes at `part`, from 0 to 1.
 pub(crate) fn decay(part: f64) -> (Share, Share) {
     let rest = 1.0 - part;
-    (
-        Share {
-            position: rest * rest * (1.0 + 2.0 * part),
-            velocity: rest * rest * part,
-        },
-        Share {
-            position: -6.0 * part * rest,
-            velocity: rest * (1.0 - 3.0 * part),
-        },
-    )
+    let value = Share {
+        position: rest * rest * (1.0 + 2.0 * part),
+        velocity: rest * rest * part,
+    };
+    let slope = Share {
+        position: -6.0 * part * rest,
+        velocity: rest * (1.0 - 3.0 * part),
+    };
+    (value, slope)
 }
 
 fn check_position(position: &Position) -> Result<(), SetpointError> {
-    within(
-        &[position.x, position.y],
-        MAX_COORDINATE,
-        "position_m must lie between -10000 and 10000",
-    )
+    let text = "position_m must lie between -10000 and 10000";
+    within(position.coords.as_slice(), MAX_COORDINATE, text)
 }
 
 fn check_velocity(velocity: &Velocity) -> Result<(), SetpointError> {
-    within(
-        &[velocity.x, velocity.y],
-        MAX_VELOCITY,
-        "velocity_m_s must lie between -100 and 100",
-    )
+    let text = "velocity_m_s must lie between -100 and 100";
+    within(velocity.as_slice(), MAX_RATE, text)
 }
 
 fn within(values: &[f64], limit: f64, text: &'static str) -> Result<(), SetpointError> {

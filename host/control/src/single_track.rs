@@ -30,7 +30,17 @@ pub struct SingleTrackState<N = f64> {
 /// The time derivative of each value of a [`SingleTrackState`], per second.
 pub type SingleTrackDerivative<N = f64> = SingleTrackState<N>;
 
-impl<N: Copy> SingleTrackState<N> {
+impl<N: Number> SingleTrackState<N> {
+    /// The lateral motion in this state at a speed of G, in m/s, and a steering angle, in rad.
+    pub const fn lateral(&self, speed: N, steering: N) -> LateralMotion<N> {
+        LateralMotion {
+            yaw_rate: self.yaw_rate,
+            sideslip: self.sideslip,
+            speed,
+            steering,
+        }
+    }
+
     /// The derivative of this state: equation 2, with the lateral motion from elsewhere.
     ///
     /// `speed` is the speed v of G, in m/s, reverse negative.
@@ -38,10 +48,7 @@ impl<N: Copy> SingleTrackState<N> {
         &self,
         speed: N,
         lateral: LateralRate<N>,
-    ) -> SingleTrackDerivative<N>
-    where
-        N: Number,
-    {
+    ) -> SingleTrackDerivative<N> {
         let (sine, cosine) = F::sin_cos(self.yaw + self.sideslip);
         SingleTrackDerivative {
             x: speed * cosine,
@@ -143,12 +150,7 @@ impl SingleTrack {
         speed: f64,
         steering: f64,
     ) -> SingleTrackDerivative {
-        let lateral = self.lateral(&LateralMotion {
-            yaw_rate: state.yaw_rate,
-            sideslip: state.sideslip,
-            speed,
-            steering,
-        });
+        let lateral = self.lateral(&state.lateral(speed, steering));
         state.derivative::<Libm>(speed, lateral)
     }
 }
@@ -245,11 +247,10 @@ impl<P: Number<P>> Axles<P> {
     ///
     /// The speed must not be zero. In reverse |v| stands for v, and the angles δ and β
     /// change their signs, so that the forces damp the motion too.
-    pub fn forces<F, N>(&self, motion: &LateralMotion<N>) -> AxleForces<N>
-    where
-        F: Functions<N>,
-        N: Number<P>,
-    {
+    pub fn forces<F: Functions<N>, N: Number<P>>(
+        &self,
+        motion: &LateralMotion<N>,
+    ) -> AxleForces<N> {
         let vehicle = &self.vehicle;
         let [front, rear] = match self.slip_angles {
             SlipAngles::Small => self.small_slip_angles(motion),
@@ -287,11 +288,10 @@ impl<P: Number<P>> Axles<P> {
     }
 
     /// The angles between the velocities of the axles and their wheels, in rad.
-    fn exact_slip_angles<F, N>(&self, motion: &LateralMotion<N>) -> [N; 2]
-    where
-        F: Functions<N>,
-        N: Number<P>,
-    {
+    fn exact_slip_angles<F: Functions<N>, N: Number<P>>(
+        &self,
+        motion: &LateralMotion<N>,
+    ) -> [N; 2] {
         let (sine, cosine) = F::sin_cos(motion.sideslip);
         let (along, across) = (motion.speed * cosine, motion.speed * sine);
         let front = across + motion.yaw_rate * self.vehicle.front_axle_distance_m;
@@ -307,11 +307,7 @@ impl<P: Number<P>> Axles<P> {
     }
 
     /// The force of an axle that would be `linear` without a limit, in N.
-    fn force<F, N>(&self, linear: N, limit: P) -> N
-    where
-        F: Functions<N>,
-        N: Number<P>,
-    {
+    fn force<F: Functions<N>, N: Number<P>>(&self, linear: N, limit: P) -> N {
         match self.tyres {
             Tyres::Saturating => F::tanh(linear / limit) * limit,
             Tyres::Linear => linear,
@@ -328,11 +324,11 @@ impl<P: Number<P>> Axles<P> {
     ///
     /// The speed must not be zero. With exact slip angles the rear wheels keep their speed
     /// v cos β; what the forces do along the car is the motor's to overcome.
-    pub fn lateral<F, N>(&self, motion: &LateralMotion<N>, forces: &AxleForces<N>) -> LateralRate<N>
-    where
-        F: Functions<N>,
-        N: Number<P>,
-    {
+    pub fn lateral<F: Functions<N>, N: Number<P>>(
+        &self,
+        motion: &LateralMotion<N>,
+        forces: &AxleForces<N>,
+    ) -> LateralRate<N> {
         let vehicle = &self.vehicle;
         let front = match self.slip_angles {
             SlipAngles::Small => forces.front,
@@ -437,12 +433,7 @@ impl RelaxedSingleTrack {
     fn dynamic(&self, state: &SingleTrackState, speed: f64, steering: f64) -> LateralRate {
         // The equations divide by the speed; below this one the kinematic model alone counts.
         let pace = speed.abs().max(KINEMATIC_BELOW);
-        let motion = LateralMotion {
-            yaw_rate: state.yaw_rate,
-            sideslip: state.sideslip,
-            speed: if speed < 0.0 { -pace } else { pace },
-            steering,
-        };
+        let motion = state.lateral(if speed < 0.0 { -pace } else { pace }, steering);
         let forces = self.axles.forces::<Libm, f64>(&motion);
         self.axles.lateral::<Libm, f64>(&motion, &forces)
     }

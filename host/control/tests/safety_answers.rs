@@ -8,8 +8,8 @@
 use std::{env, fmt::Write as _, fs};
 
 use singletrack_control::{
-    Actuation, ConvexArea, Estimate, Filtered, FilteredDemand, FrontPointLaw, LimitedLaw, Limits,
-    Position, SafetyConfig, SafetyFilter, SafetyInput, Time, Velocity,
+    Actuation, ConvexArea, Estimate, Filtered, FrontPointLaw, LimitedLaw, Limits, Position,
+    SafetyConfig, SafetyFilter, SafetyInput, Time, Velocity,
 };
 
 const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/safety_answers.txt");
@@ -68,7 +68,7 @@ fn config(area: ConvexArea) -> SafetyConfig {
 
 /// The answers in a state: to a velocity, up to which length of the way to a demand, and to a demand.
 /// `left` is 1, or -1 for the state in a mirror.
-fn answers(seed: u64, left: f64) -> (Filtered, Option<f64>, FilteredDemand) {
+fn answers(seed: u64, left: f64) -> (Filtered, Option<f64>, Filtered<f64>) {
     let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
     for _ in 0..8 {
         random.next();
@@ -130,7 +130,7 @@ fn answers(seed: u64, left: f64) -> (Filtered, Option<f64>, FilteredDemand) {
     };
     let whole = agrees_up_to(|blind| {
         let demand = filter.demand(&input(blind), |_, _| Ok(given));
-        demand == FilteredDemand::Unchanged
+        demand == Filtered::Unchanged
     });
     let scaled = filter.demand(&input(blind), |law, share| {
         let now = law.actuation();
@@ -162,7 +162,7 @@ fn the_answers_are_those_of_before_to_the_bit() {
 
 #[test]
 fn left_and_right_are_treated_alike() {
-    let numbers = |answer: &(Filtered, Option<f64>, FilteredDemand), left: f64| {
+    let numbers = |answer: &(Filtered, Option<f64>, Filtered<f64>), left: f64| {
         let (kind, velocity) = match answer.0 {
             Filtered::Unchanged => (0, Velocity::zeros()),
             Filtered::Limited(velocity) => (1, velocity),
@@ -218,6 +218,6 @@ fn a_car_that_still_rolls_backward_keeps_a_stop_behind_it_whatever_is_commanded(
             ..Actuation::default()
         };
         let answer = filter.demand(&input, |_, _| Ok(forward));
-        assert_eq!(answer == FilteredDemand::Unchanged, may, "{x}: {answer:?}");
+        assert_eq!(answer == Filtered::Unchanged, may, "{x}: {answer:?}");
     }
 }

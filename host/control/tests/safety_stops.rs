@@ -5,9 +5,9 @@
 use std::f64::consts::TAU;
 
 use singletrack_control::{
-    ConvexArea, Filtered, FilteredDemand, FrontPointLaw, LimitedLaw, Limits, Position,
-    ROOM_DIRECTIONS, SafetyFilter, SafetyInput, Side, SpeedDemand, SteeringDemand, StopBox, Time,
-    Velocity, direction,
+    ConvexArea, Filtered, FrontPointLaw, LimitedLaw, Limits, Position, ROOM_DIRECTIONS,
+    SafetyFilter, SafetyInput, Side, SpeedDemand, SteeringDemand, StopBox, Time, Velocity,
+    direction,
 };
 
 use crate::safety_filter::{BRAKING, Car, L_R, PERIOD, WHEELBASE, config, limits, rectangle};
@@ -52,7 +52,7 @@ fn wall(speed: f64, steering: f64, yaw: f64, blind: f64) -> f64 {
             period: PERIOD,
             neighbours: &[],
         };
-        filter.demand(&input, |_, _| Ok(given)) == FilteredDemand::Unchanged
+        filter.demand(&input, |_, _| Ok(given)) == Filtered::Unchanged
     };
     let (mut least, mut most) = (0.0, 50.0);
     assert!(!agrees(least) && agrees(most));
@@ -219,7 +219,7 @@ fn goes_on(speed: f64, steering: f64, blind: f64, outward: Velocity, offset: f64
             })
         }
     };
-    filter.demand(&input, full_stop) == FilteredDemand::Scaled(0.0)
+    filter.demand(&input, full_stop) == Filtered::Scaled(0.0)
 }
 
 #[test]

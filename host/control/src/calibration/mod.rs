@@ -243,13 +243,8 @@ impl Calibration {
     fn end_steering_block(&mut self) {
         let fit = self.steering_fit.fit(None);
         // What was never observable is contradicted by the first bend.
-        let is_known = [
-            CalibrationParameter::SteeringGain,
-            CalibrationParameter::SteeringTrim,
-        ]
-        .into_iter()
-        .enumerate()
-        .all(|(index, parameter)| estimate(parameter, fit.as_ref(), index).observable);
+        let is_known = estimate(CalibrationParameter::SteeringGain, fit, 0).observable
+            && estimate(CalibrationParameter::SteeringTrim, fit, 1).observable;
         let change = fit
             .filter(|_| is_known)
             .and_then(|fit| self.steering_fit.contradiction(1, &fit.values));
@@ -312,14 +307,8 @@ impl Calibration {
         use CalibrationParameter as Parameter;
         let (gyro, steering) = (self.gyro_fit.fit(None), self.steering_fit.fit(None));
         let across = self.across_fit.fit(None);
-        let body_yaw = across.as_ref().map_or(0.0, |fit| fit.values[1]);
+        let body_yaw = across.map_or(0.0, |fit| fit.values[1]);
         let along = self.along_fit.fit(Some((3, body_yaw)));
-        let (gyro, steering, across, along) = (
-            gyro.as_ref(),
-            steering.as_ref(),
-            across.as_ref(),
-            along.as_ref(),
-        );
         Parameter::ALL.map(|parameter| match parameter {
             Parameter::SteeringGain => estimate(parameter, steering, 0),
             Parameter::SteeringTrim => estimate(parameter, steering, 1),
@@ -474,9 +463,9 @@ impl Tyres {
 /// The delay of the poses: that against the gyro; and with the steering and the motor sensor, if
 /// they agree with it.
 fn stamps(
-    gyro: Option<&Fit<4>>,
-    steering: Option<&Fit<3>>,
-    along: Option<&Fit<4>>,
+    gyro: Option<Fit<4>>,
+    steering: Option<Fit<3>>,
+    along: Option<Fit<4>>,
 ) -> CalibrationEstimate {
     let parameter = CalibrationParameter::StampOffset;
     let bounds = parameter.bounds();
@@ -484,23 +473,20 @@ fn stamps(
     let (Some(gyro), Some(steering), Some(along)) = (gyro, steering, along) else {
         return alone;
     };
-    let excited = |excitation: f64| excitation >= bounds.least_excitation;
-    if alone.half_width > WIDEST_ALONE {
+    let excitations = [
+        gyro.excitation[1],
+        steering.excitation[2],
+        along.excitation[2],
+    ];
+    let are_excited = excitations.iter().all(|it| *it >= bounds.least_excitation);
+    if alone.half_width > WIDEST_ALONE || !are_excited {
         return alone;
     }
-    if !(excited(gyro.excitation[1])
-        && excited(steering.excitation[2])
-        && excited(along.excitation[2]))
-    {
-        return alone;
-    }
+    let with_error = |half_width: f64| hypot(half_width, DELAY_ERROR);
     let delays = [
         [alone.value, alone.half_width],
-        [
-            steering.values[2],
-            hypot(steering.half_widths[2], DELAY_ERROR),
-        ],
-        [along.values[2], hypot(along.half_widths[2], DELAY_ERROR)],
+        [steering.values[2], with_error(steering.half_widths[2])],
+        [along.values[2], with_error(along.half_widths[2])],
     ];
     let (mut weights, mut sum) = (0.0, 0.0);
     for [value, half_width] in delays {
@@ -537,7 +523,7 @@ fn stamps(
 /// What a fit says of a parameter.
 fn estimate<const N: usize>(
     parameter: CalibrationParameter,
-    fit: Option<&Fit<N>>,
+    fit: Option<Fit<N>>,
     index: usize,
 ) -> CalibrationEstimate {
     let bounds = parameter.bounds();

@@ -21,7 +21,7 @@ use nalgebra::Vector3;
 
 use self::{
     bank::{Bank, SAMPLE_PERIOD, Sample},
-    filter::Navigation,
+    filter::{Filter, Navigation},
     wheels::Sent,
 };
 use crate::{
@@ -96,10 +96,8 @@ pub struct EstimatorConfig {
 impl EstimatorConfig {
     /// The power of the accelerometer's noise at a squared speed (m²/s²), m²/s⁴/Hz.
     pub const fn acceleration_variance(&self, squared_speed: f64) -> f64 {
-        let (rest, vibration) = (
-            self.acceleration_noise_density,
-            self.vibration_noise_density,
-        );
+        let rest = self.acceleration_noise_density;
+        let vibration = self.vibration_noise_density;
         rest * rest + vibration * vibration * squared_speed
     }
 
@@ -269,18 +267,18 @@ impl Estimator {
         self.track.as_ref().map_or(0, |track| track.poses)
     }
 
+    fn best(&self) -> Option<&Filter> {
+        Some(self.track.as_ref()?.bank.best())
+    }
+
     /// The estimated gyro bias, rad/s; 0 before the first pose.
     pub fn gyro_bias(&self) -> f64 {
-        self.track
-            .as_ref()
-            .map_or(0.0, |track| track.bank.best().gyro_bias())
+        self.best().map_or(0.0, Filter::gyro_bias)
     }
 
     /// The estimated scale of the gyro, of what it reads to the yaw rate; 1 before the first pose.
     pub fn gyro_scale(&self) -> f64 {
-        self.track
-            .as_ref()
-            .map_or(1.0, |track| track.bank.best().gyro_scale())
+        self.best().map_or(1.0, Filter::gyro_scale)
     }
 
     /// The estimated biases of the accelerometer, forward and left, m/s²; 0 before the first

@@ -214,21 +214,15 @@ impl Leader {
         allows((limits.max_speed - reserve) / speed, SlowedBy::Speed);
         let rear = motion.axle * self.body.dot(&self.wheels);
         let lateral = fabs(rear * motion.body_turn);
-        allows(
-            sqrt(USABLE * limits.max_lateral_acceleration / lateral),
-            SlowedBy::Tyres,
-        );
+        let grip = sqrt(USABLE * limits.max_lateral_acceleration / lateral);
+        allows(grip, SlowedBy::Tyres);
         let steering_rate = fabs(motion.wheels_turn - motion.body_turn);
-        allows(
-            USABLE * limits.max_steering_rate / steering_rate,
-            SlowedBy::SteeringRate,
-        );
+        let servo = USABLE * limits.max_steering_rate / steering_rate;
+        allows(servo, SlowedBy::SteeringRate);
         // Wheels that turn away from where P goes stop the car, in a corner at once.
         let change = fabs(motion.axle / speed - self.axle_share) * speed / STEP;
-        allows(
-            sqrt(USABLE * limits.max_acceleration / change),
-            SlowedBy::Steering,
-        );
+        let motor = sqrt(USABLE * limits.max_acceleration / change);
+        allows(motor, SlowedBy::Steering);
         if let (Some(room), Some(point)) = (&config.room, point) {
             let front = config.law.front_axle_distance();
             let centre = point - config.law.point_distance() * self.wheels - front * self.body;

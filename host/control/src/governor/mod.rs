@@ -162,12 +162,12 @@ impl Governor {
         let begins = self.step == 0;
         self.look(reference);
         self.path = self.path_of(led).max(self.path);
-        let wanted = self.wanted(reference, point);
+        let (wanted, wanted_by) = self.wanted(reference, point);
         let change = SLOPE * elapsed;
         let rate = if begins {
-            wanted.rate
+            wanted
         } else {
-            wanted.rate.clamp(self.rate - change, self.rate + change)
+            wanted.clamp(self.rate - change, self.rate + change)
         };
         let rate = rate.clamp(0.0, 1.0);
         self.slope = if elapsed > 0.0 {
@@ -176,7 +176,7 @@ impl Governor {
             0.0
         };
         self.rate = rate;
-        self.slowed_by = match wanted.by {
+        self.slowed_by = match wanted_by {
             Some(by) => Some(by),
             None if self.is_beside() => Some(SlowedBy::Steering),
             // It is still on its way back.
@@ -196,11 +196,9 @@ impl Governor {
         let during = ahead.clamp(-CHANGES, CHANGES);
         let rate = (self.rate + self.slope * during).clamp(0.0, 1.0);
         let way = 0.5 * (self.rate + rate) * during + rate * (ahead - during);
-        let ReferencePoint { position, velocity } = self.led_point(reference, self.led + way);
-        ReferencePoint {
-            position,
-            velocity: rate * velocity,
-        }
+        let mut point = self.led_point(reference, self.led + way);
+        point.velocity *= rate;
+        point
     }
 
     /// The time of the leader at `time`.
@@ -264,11 +262,8 @@ impl Governor {
     }
 
     /// The highest rate now, and why.
-    fn wanted(&self, reference: &Reference, point: &Position) -> Wanted {
-        let mut wanted = Wanted {
-            rate: 1.0,
-            by: None,
-        };
+    fn wanted(&self, reference: &Reference, point: &Position) -> (f64, Option<SlowedBy>) {
+        let mut wanted = (1.0, None);
         for sample in &self.samples {
             let away = sample.time - self.led;
             if away < -STEP || sample.rate >= 1.0 {
@@ -276,9 +271,8 @@ impl Governor {
             }
             // From this rate it is reached in time.
             let rate = sqrt(sample.rate * sample.rate + 2.0 * SLOPE * away.max(0.0));
-            if rate < wanted.rate {
-                let by = sample.by;
-                wanted = Wanted { rate, by };
+            if rate < wanted.0 {
+                wanted = (rate, sample.by);
             }
         }
         let here = self.led_point(reference, self.led);
@@ -287,9 +281,8 @@ impl Governor {
             let away = sqrt(to_reference.norm_squared());
             let is_behind = to_reference.dot(&here.velocity) >= 0.0;
             let rate = (2.0 - away / self.config.behind).clamp(0.0, 1.0);
-            if is_behind && rate < wanted.rate {
-                let by = Some(SlowedBy::Behind);
-                wanted = Wanted { rate, by };
+            if is_behind && rate < wanted.0 {
+                wanted = (rate, Some(SlowedBy::Behind));
             }
         }
         wanted
@@ -312,13 +305,6 @@ impl Governor {
             self.step += 1;
         }
     }
-}
-
-/// The highest rate, and what limits it.
-#[derive(Clone, Copy, Debug)]
-struct Wanted {
-    rate: f64,
-    by: Option<SlowedBy>,
 }
 
 /// The distance that the leader keeps from the edge, m: the car is beside it by noise and lag.

@@ -12,10 +12,7 @@ use clarabel::{
     },
 };
 
-use super::{
-    penalties,
-    solver::{Axis, Bounded, Bounds, COMMAND, POSITION, Solver, VELOCITY, Weights},
-};
+use super::solver::{Axis, Bounded, Bounds, COMMAND, POSITION, Solver, VELOCITY, Weights};
 use crate::{ConvexArea, Position, Velocity};
 
 const N: usize = 4;
@@ -307,13 +304,7 @@ fn by_clarabel(
 /// largest entry, and our residual.
 fn difference(case: &Case, iterations: usize) -> (f64, f64) {
     let axis = Axis::new(LAG, STAGE);
-    let mut solver = Solver::<N, H>::new(
-        axis,
-        case.weights,
-        penalties(&case.weights),
-        case.bounds.clone(),
-    )
-    .unwrap();
+    let mut solver = Solver::<N, H>::new(axis, case.weights, case.bounds.clone()).unwrap();
     let expected = by_clarabel(case, &axis, &solver.terminal);
     let residual = solver.solve(&case.start, &case.nominal, iterations);
     let plan = solver.plan().iter();

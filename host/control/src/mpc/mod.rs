@@ -8,7 +8,7 @@ mod against_clarabel_tests;
 use libm::{ceil, rint, sqrt};
 
 use self::solver::{
-    Axis, Bounded, Bounds, COMMAND, Lag, POSITION, Penalties, Solver, VELOCITY, Weights, shorten,
+    Axis, Bounded, Bounds, COMMAND, Lag, POSITION, Solver, VELOCITY, Weights, shorten,
 };
 use crate::{
     ConvexArea, Position, ReferencePoint, Velocity,
@@ -222,7 +222,6 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
         let solver = Solver::new(
             Axis::new(config.lag, stage),
             weights,
-            penalties(&weights),
             Bounds {
                 acceleration: config.max_acceleration,
                 speed: config.max_speed,
@@ -388,16 +387,6 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
         let now = self.state.applied[0];
         let change = self.config.max_deceleration * self.config.period;
         shorten(&now, (sqrt(now.norm_squared()) - change).max(0.0))
-    }
-}
-
-/// Penalties that balance the two plans: over the cases of the test against clarabel, about
-/// these need the fewest iterations.
-fn penalties(weights: &Weights) -> Penalties {
-    Penalties {
-        acceleration: 10.0 * weights.acceleration,
-        command: 10.0 * sqrt(weights.acceleration * weights.position),
-        position: 10.0 * weights.position,
     }
 }
 

@@ -127,23 +127,17 @@ impl External {
 
     /// The demand in force at `now`; standstill before the first.
     pub fn demand(&self, now: Time) -> Demand {
-        match self.newest {
-            Some(Newest {
-                demand: Some(demand),
-                ..
-            }) => demand,
-            Some(Newest { demand: None, .. }) => {
-                self.trajectory_at(now).map_or(STAND, Demand::Point)
-            }
-            None => STAND,
-        }
+        let Some(newest) = self.newest else {
+            return STAND;
+        };
+        let followed = || self.trajectory_at(now).map_or(STAND, Demand::Point);
+        newest.demand.unwrap_or_else(followed)
     }
 
     /// The point demanded `ahead` seconds after `now`; none for steering and speed. A point of
     /// a set-point moves on with its velocity.
     pub(super) fn point_ahead(&self, now: Time, ahead: f64) -> Option<ReferencePoint> {
-        let follows = self.newest.is_some_and(|newest| newest.demand.is_none());
-        if follows {
+        if self.follows() {
             return self.trajectory_at(now.after(ahead));
         }
         match self.demand(now) {
@@ -160,6 +154,11 @@ impl External {
         self.timeout
     }
 
+    /// Whether the newest is a trajectory.
+    fn follows(&self) -> bool {
+        self.newest.is_some_and(|newest| newest.demand.is_none())
+    }
+
     fn supersedes(&self, stamp: &SetpointStamp) -> Result<(), SetpointError> {
         match self.newest {
             Some(newest) if newest.stamp.time > stamp.time => Err(SetpointError::Superseded),
@@ -170,33 +169,21 @@ impl External {
     /// Puts the assembled trajectory in force. If it replaces one that is followed, the
     /// reference goes on from there: the offset of position and velocity decays.
     fn follow_assembled(&mut self, now: Time) {
-        let follows = self.newest.is_some_and(|newest| newest.demand.is_none());
-        let before = (follows && !self.is_stale(now))
-            .then(|| self.trajectory_at(now))
-            .flatten();
+        let before = self.trajectory_at(now);
+        let before = before.filter(|_| self.follows() && !self.is_stale(now));
         self.newest = Some(Newest {
             stamp: self.assembled.stamp,
             demand: None,
         });
         core::mem::swap(&mut self.followed, &mut self.assembled);
-        let after = self.followed.at(now);
-        self.blend = match (before, after) {
-            (
-                Some(ReferencePoint {
-                    position: Some(old),
-                    velocity,
-                }),
-                Some(ReferencePoint {
-                    position: Some(new),
-                    velocity: new_velocity,
-                }),
-            ) => Some(Blend {
+        let ends = before.zip(self.followed.at(now));
+        self.blend = ends.and_then(|(old, new)| {
+            Some(Blend {
                 since: now,
-                position: old - new,
-                velocity: velocity - new_velocity,
-            }),
-            _ => None,
-        };
+                position: old.position? - new.position?,
+                velocity: old.velocity - new.velocity,
+            })
+        });
     }
 
     fn trajectory_at(&self, now: Time) -> Option<ReferencePoint> {

@@ -102,28 +102,17 @@ pub struct SafetyInput<'a> {
     pub neighbours: &'a [Side],
 }
 
-/// What the filter made of a velocity.
+/// What the filter made of a velocity, in m/s, or of steering and speed from outside, of which it leaves
+/// a part from 0 to 1: of the speed, and of the change of the steering.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Filtered {
+pub enum Filtered<T = Velocity> {
     /// Nothing: give it to the law as it is.
     Unchanged,
-    /// The velocity of P nearest to the wanted one within the bounds is to be given to the law,
-    /// in m/s.
-    Limited(Velocity),
-    /// A part of that one, because it would not leave the car able to stop inside, in m/s.
-    Scaled(Velocity),
+    /// The velocity of P nearest to the wanted one within the bounds is to be given to the law.
+    Limited(T),
+    /// A part of that one, or of the demand, because it would not leave the car able to stop inside.
+    Scaled(T),
     /// None keeps the car able to stop inside: slow down now, with the steering held.
-    Stop,
-}
-
-/// What the filter made of steering and speed from outside.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum FilteredDemand {
-    /// Nothing: obey it as it is.
-    Unchanged,
-    /// Obey this part of the speed and of the change of the steering, 0 to 1.
-    Scaled(f64),
-    /// No part keeps the car able to stop inside: slow down now, with the steering held.
     Stop,
 }
 
@@ -290,22 +279,22 @@ impl SafetyFilter {
         &self,
         input: &SafetyInput<'_>,
         advance: impl Fn(&mut LimitedLaw, f64) -> Result<Actuation, Singularity>,
-    ) -> FilteredDemand {
+    ) -> Filtered<f64> {
         for share in SLOWER {
             let mut law = input.law.clone();
             let early = if share > 0.0 { EARLY } else { 0.0 };
             let Ok(next) = advance(&mut law, share) else {
-                return FilteredDemand::Stop;
+                return Filtered::Stop;
             };
             if self.keeps_a_stop(input, &next, early) {
                 return if share == 1.0 {
-                    FilteredDemand::Unchanged
+                    Filtered::Unchanged
                 } else {
-                    FilteredDemand::Scaled(share)
+                    Filtered::Scaled(share)
                 };
             }
         }
-        FilteredDemand::Stop
+        Filtered::Stop
     }
 
     /// The bounds that leave P able to stop before each side.
@@ -391,11 +380,7 @@ impl SafetyFilter {
     /// The curvatures between which the path bends now, 1/m: those of the angles between which
     /// the wheels stand, and the measured one.
     fn present_curvatures(&self, input: &SafetyInput<'_>) -> Range {
-        let Range { least, most } = self.on_their_way.widened(input.wave);
-        let range = Range {
-            least: self.curvature(least),
-            most: self.curvature(most),
-        };
+        let range = self.curvatures(self.on_their_way.widened(input.wave));
         measured_curvature(input.estimate).map_or(range, |measured| range.with(measured))
     }
 
@@ -403,11 +388,7 @@ impl SafetyFilter {
     /// but for [`SafetyConfig::curvature_error`]. `wave` as in [`SafetyInput`]. A car that is too
     /// slow to tell does.
     pub fn bends_as_assumed(&self, estimate: &Estimate, wave: f64) -> bool {
-        let Range { least, most } = self.on_their_way.widened(wave);
-        let range = Range {
-            least: self.curvature(least),
-            most: self.curvature(most),
-        };
+        let range = self.curvatures(self.on_their_way.widened(wave));
         let error = self.config.curvature_error_at(estimate.speed, &range);
         let Range { least, most } = range.widened(error);
         // A NaN does not.
@@ -416,6 +397,10 @@ impl SafetyFilter {
 
     fn curvature(&self, steering: f64) -> f64 {
         tan(steering) / self.config.wheelbase
+    }
+
+    fn curvatures(&self, steering: Range) -> Range {
+        steering.map(|angle| self.curvature(angle))
     }
 
     /// Whether every stop after a tick with this command stays inside, and would if it began

@@ -33,19 +33,13 @@ impl SafetyFilter {
     /// side in each direction from the heading. The measured curvature and the estimated sideslip
     /// are those of angles between which the wheels may stand.
     pub fn room(&self, states: &StopBox) -> [f64; ROOM_DIRECTIONS] {
-        let curvatures = |[least, most]: [f64; 2]| Range {
-            least: self.curvature(least),
-            most: self.curvature(most),
-        };
+        let curvatures = |[least, most]: [f64; 2]| self.curvatures(Range { least, most });
         let first = curvatures(states.before);
         let sideslip = |curvature| libm::atan(states.rear_axle_distance * curvature);
         let start = Start {
             position: Position::origin(),
             yaw: 0.0,
-            sideslips: Range {
-                least: sideslip(first.least),
-                most: sideslip(first.most),
-            },
+            sideslips: first.map(sideslip),
             pace: states.speed,
             blind: states.blind,
             stop: Stop {

@@ -35,6 +35,14 @@ impl Range {
     }
 
     /// The range on the other side.
+    /// The range of a function that rises.
+    pub(crate) fn map(self, function: impl Fn(f64) -> f64) -> Self {
+        Self {
+            least: function(self.least),
+            most: function(self.most),
+        }
+    }
+
     pub(crate) const fn mirrored(self) -> Self {
         Self {
             least: -self.most,

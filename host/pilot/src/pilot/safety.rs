@@ -4,9 +4,9 @@
 use libm::fabs;
 use singletrack_control::words;
 use singletrack_control::{
-    Actuation, Ahead, Estimate, Expected, Filtered, FilteredDemand, LimitedLaw, Motion,
-    NeighbourConfig, NeighbourSample, NeighbourSides, Neighbours, SafetyFilter, SafetyInput,
-    Singularity, SpeedDemand, SteeringDemand, Time, Velocity,
+    Actuation, Ahead, Estimate, Expected, Filtered, LimitedLaw, Motion, NeighbourConfig,
+    NeighbourSample, NeighbourSides, Neighbours, SafetyFilter, SafetyInput, Singularity,
+    SpeedDemand, SteeringDemand, Time, Velocity,
 };
 
 use super::{Output, Pilot};
@@ -109,8 +109,10 @@ impl Safety {
     }
 
     fn note(&mut self, filtering: Filtering) {
-        self.filtering = filtering;
-        self.ticks = self.ticks.saturating_add(1);
+        if filtering != Filtering::None {
+            self.filtering = filtering;
+            self.ticks = self.ticks.saturating_add(1);
+        }
     }
 }
 
@@ -165,33 +167,19 @@ impl Pilot {
         };
         let input = self.safety_input(estimate, step.wheels);
         let filtered = filter.step(&input, wanted, trial);
-        let (filtering, velocity) = match filtered {
-            Filtered::Unchanged => (Filtering::None, Some(*wanted)),
-            Filtered::Limited(velocity) => (Filtering::Limited, Some(velocity)),
-            Filtered::Scaled(velocity) => (Filtering::Scaled, Some(velocity)),
-            Filtered::Stop => (Filtering::Stopped, None),
-        };
-        let yields = filtered != Filtered::Unchanged
-            && alone(&input).is_some_and(|alone| filter.step(&alone, wanted, trial) != filtered);
-        let moves = |velocity: &Velocity| !yields || velocity.norm() >= CREEP;
-        let velocity = velocity.filter(moves);
-        let waits = self.obstacles.wait(yields && velocity.is_none(), period);
-        let velocity = velocity.filter(|_| !waits);
-        if yields || waits {
+        let without = alone(&input, &filtered).map(|alone| filter.step(&alone, wanted, trial));
+        let moves = |velocity: &Velocity| velocity.norm() >= CREEP;
+        let (velocity, yields) = self.left((filtered, without), *wanted, moves);
+        if yields {
             let given = velocity.unwrap_or_default();
             self.delay = self.obstacles.delay(wanted, &given);
         }
         output.point_velocity = velocity;
         let actuation = match velocity {
-            Some(velocity) => {
-                if filtering != Filtering::None {
-                    self.safety.note(filtering);
-                }
-                advance(&mut self.law, &velocity)?
-            }
-            None => self.stop_by_filter(wanted.norm().is_finite(), yields || waits),
+            Some(velocity) => advance(&mut self.law, &velocity)?,
+            None => self.stop_by_filter(wanted.norm().is_finite(), yields),
         };
-        self.note_yielding(yields || waits, &actuation);
+        self.note_yielding(yields, &actuation);
         Ok(actuation)
     }
 
@@ -221,30 +209,46 @@ impl Pilot {
         };
         let input = self.safety_input(estimate, now.steering);
         let filtered = filter.demand(&input, trial);
-        let yields = filtered != FilteredDemand::Unchanged
-            && alone(&input).is_some_and(|alone| filter.demand(&alone, trial) != filtered);
-        let share = match filtered {
-            FilteredDemand::Unchanged => Some(1.0),
-            FilteredDemand::Scaled(share) => Some(share),
-            FilteredDemand::Stop => None,
-        };
-        let share = share.filter(|share| !yields || *share > 0.0);
-        let waits = self.obstacles.wait(yields && share.is_none(), period);
-        let actuation = match share.filter(|_| !waits) {
+        let without = alone(&input, &filtered).map(|alone| filter.demand(&alone, trial));
+        let (share, yields) = self.left((filtered, without), 1.0, |share| *share > 0.0);
+        let actuation = match share {
             Some(share) => {
-                if share != 1.0 {
-                    self.safety.note(Filtering::Scaled);
-                }
                 let (steering, speed) = part(share);
                 self.law.follow(steering, speed, period)?
             }
             None => {
                 let is_finite = self.law.clone().follow(steering, speed, period).is_ok();
-                self.stop_by_filter(is_finite, yields || waits)
+                self.stop_by_filter(is_finite, yields)
             }
         };
-        self.note_yielding(yields || waits, &actuation);
+        self.note_yielding(yields, &actuation);
         Ok(actuation)
+    }
+
+    /// What the filter leaves of the whole of a demand, from its answers with and without other bodies.
+    /// The car yields to these where the answers differ; what does not move it then is nothing. None where
+    /// it stops, and whether it yields, or did a moment ago.
+    fn left<T: PartialEq>(
+        &mut self,
+        (filtered, without): (Filtered<T>, Option<Filtered<T>>),
+        whole: T,
+        moves: impl Fn(&T) -> bool,
+    ) -> (Option<T>, bool) {
+        let yields = without.is_some_and(|without| without != filtered);
+        let (filtering, value) = match filtered {
+            Filtered::Unchanged => (Filtering::None, Some(whole)),
+            Filtered::Limited(value) => (Filtering::Limited, Some(value)),
+            Filtered::Scaled(value) => (Filtering::Scaled, Some(value)),
+            Filtered::Stop => (Filtering::Stopped, None),
+        };
+        let value = value.filter(|value| !yields || moves(value));
+        let no_way = yields && value.is_none();
+        let waits = self.obstacles.wait(no_way, self.config.period);
+        let value = value.filter(|_| !waits);
+        if value.is_some() {
+            self.safety.note(filtering);
+        }
+        (value, yields || waits)
     }
 
     /// A tick of the pilot's stop. The drive ends if the car comes to stand by it, unless before
@@ -275,9 +279,13 @@ impl Pilot {
     }
 }
 
-/// The car of a tick without other bodies; none if there are none.
-fn alone<'a>(input: &SafetyInput<'a>) -> Option<SafetyInput<'a>> {
-    (!input.neighbours.is_empty()).then_some(SafetyInput {
+/// The car of a tick without other bodies; none if there are none, or if the filter changed nothing.
+fn alone<'a, T: PartialEq>(
+    input: &SafetyInput<'a>,
+    filtered: &Filtered<T>,
+) -> Option<SafetyInput<'a>> {
+    let is_changed = *filtered != Filtered::Unchanged;
+    (is_changed && !input.neighbours.is_empty()).then_some(SafetyInput {
         neighbours: &[],
         ..*input
     })
