@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use singletrack_control::statistics::{Line, RootMeanSquare};
 use singletrack_control::{words, wrap};
 
-use super::error::IdentificationError;
+use super::error::{IdentificationError, Result};
 
 words! {
     /// A measured quantity.
@@ -254,7 +254,7 @@ impl DriveData {
     /// # Errors
     ///
     /// The first list and sample that is not.
-    pub fn validate(&self) -> Result<(), IdentificationError> {
+    pub fn validate(&self) -> Result<()> {
         check(
             "poses of the motion capture",
             self.poses
@@ -500,10 +500,7 @@ pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-fn check(
-    what: &'static str,
-    samples: impl Iterator<Item = (f64, [f64; 3])>,
-) -> Result<(), IdentificationError> {
+fn check(what: &'static str, samples: impl Iterator<Item = (f64, [f64; 3])>) -> Result<()> {
     let mut count = 0;
     let mut last = f64::NEG_INFINITY;
     for (index, (time_s, values)) in samples.enumerate() {

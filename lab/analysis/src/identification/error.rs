@@ -4,6 +4,9 @@ use singletrack_control::VehicleParameters;
 
 use super::parameter::Parameter;
 
+/// The result of a step of an identification.
+pub(super) type Result<T> = core::result::Result<T, IdentificationError>;
+
 /// The reason for which an identification fails.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IdentificationError {

@@ -2,7 +2,7 @@
 
 use super::{
     data::{Drive, DriveData, ServoFrames, ServoTarget, Span},
-    error::IdentificationError,
+    error::{IdentificationError, Result},
     filter::{FilterRun, run_filter},
     least_squares::minimise,
     noise::NoiseLevels,
@@ -50,7 +50,7 @@ const SETTLED: f64 = 0.01;
 const RETURNS: f64 = 0.25;
 
 impl Task<'_> {
-    pub(super) fn fit(&self) -> Result<Fit, IdentificationError> {
+    pub(super) fn fit(&self) -> Result<Fit> {
         let candidates = match self.settings.frames {
             Some(frames) => vec![frames],
             None => ServoFrames::ALL.to_vec(),
@@ -143,7 +143,7 @@ impl Task<'_> {
         noise: NoiseLevels,
         sampled: &NoiseLevels,
         rounds: u32,
-    ) -> Result<NoiseLevels, IdentificationError> {
+    ) -> Result<NoiseLevels> {
         if !self.settings.estimate_noise {
             return Ok(noise);
         }
@@ -154,11 +154,7 @@ impl Task<'_> {
     }
 
     /// The smallest standard deviations of estimates for the car of the start values.
-    pub(super) fn bounds(
-        &self,
-        frames: ServoFrames,
-        noise: &NoiseLevels,
-    ) -> Result<Vec<f64>, IdentificationError> {
+    pub(super) fn bounds(&self, frames: ServoFrames, noise: &NoiseLevels) -> Result<Vec<f64>> {
         let servo = frames.of(&self.data.servo);
         let zero = vec![0.0; self.settings.parameters.len()];
         let run = self.run_filter(&servo, &zero, noise)?;
@@ -201,7 +197,7 @@ impl Task<'_> {
         servo: &[ServoTarget],
         u: &[f64],
         noise: &NoiseLevels,
-    ) -> Result<FilterRun, IdentificationError> {
+    ) -> Result<FilterRun> {
         run_filter(self.drive(servo), &self.values(u), self.settings, noise)
             .ok_or_else(|| self.diverged(u))
     }
@@ -216,7 +212,7 @@ impl Task<'_> {
         run: &FilterRun,
         u: &[f64],
         patience: usize,
-    ) -> Result<Vec<f64>, IdentificationError> {
+    ) -> Result<Vec<f64>> {
         let prediction = self.prediction(servo, run);
         let count = prediction.rows() + u.len();
         // Running out of evaluations is no failure: the next round continues with new gains.

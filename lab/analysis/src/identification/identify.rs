@@ -5,7 +5,7 @@ use singletrack_control::VehicleParameters;
 
 use super::{
     data::{Channel, DriveData, ServoFrames, Span},
-    error::IdentificationError,
+    error::{IdentificationError, Result},
     estimate::{self, Estimate},
     filter::TrackPoint,
     fit::{Fit, Task},
@@ -100,7 +100,7 @@ pub fn identify(
     data: &DriveData,
     vehicle: &VehicleParameters,
     settings: &Settings,
-) -> Result<Identification, IdentificationError> {
+) -> Result<Identification> {
     let mut start = Values::of(vehicle);
     if let Some([delay, lag]) = settings.steering {
         start = start
@@ -115,8 +115,8 @@ fn identified(
     data: &DriveData,
     start: &Values,
     settings: &Settings,
-    check: impl Fn(&Fit, &[Estimate]) -> Result<(), IdentificationError>,
-) -> Result<Identification, IdentificationError> {
+    check: impl Fn(&Fit, &[Estimate]) -> Result<()>,
+) -> Result<Identification> {
     if settings.parameters.is_empty() {
         return Err(IdentificationError::NoParameter);
     }
@@ -207,7 +207,7 @@ struct Chosen {
 }
 
 impl Chosen {
-    fn of(task: &Task<'_>, fit: Fit, criterion: Criterion) -> Result<Self, IdentificationError> {
+    fn of(task: &Task<'_>, fit: Fit, criterion: Criterion) -> Result<Self> {
         let servo = fit.frames.of(&task.data.servo);
         let inputs = Inputs {
             drive: task.drive(&servo),
@@ -232,7 +232,7 @@ impl Chosen {
 const WORTH: f64 = 0.1;
 
 /// The fit by the criterion of the settings, or the better of the two.
-fn choose(task: &Task<'_>) -> Result<Chosen, IdentificationError> {
+fn choose(task: &Task<'_>) -> Result<Chosen> {
     let settings = task.settings;
     let by_prediction = || Chosen::of(task, task.fit()?, Criterion::Prediction);
     let by_simulation = |first: Option<&Fit>| {
@@ -291,7 +291,7 @@ fn not_told(fit: &Fit, parameters: impl Iterator<Item = Parameter>) -> Vec<Param
 }
 
 /// Refuses what is no answer of the drive.
-fn check(fit: &Fit, estimates: &[Estimate]) -> Result<(), IdentificationError> {
+fn check(fit: &Fit, estimates: &[Estimate]) -> Result<()> {
     if fit.u.iter().all(|u| *u == 0.0) {
         return Err(IdentificationError::NotMoved);
     }
@@ -326,7 +326,7 @@ pub fn validate(
     data: &DriveData,
     identified: &Identification,
     settings: &Settings,
-) -> Result<Identification, IdentificationError> {
+) -> Result<Identification> {
     let settings = Settings {
         parameters: Parameter::OF_A_DRIVE.to_vec(),
         noise: identified.noise,
@@ -356,7 +356,7 @@ pub fn cramer_rao(
     noise: &NoiseLevels,
     frames: ServoFrames,
     settings: &Settings,
-) -> Result<Vec<f64>, IdentificationError> {
+) -> Result<Vec<f64>> {
     let stretches = usable(data, settings)?;
     let task = Task {
         data,
@@ -368,7 +368,7 @@ pub fn cramer_rao(
 }
 
 /// The stretches that can be used, if they are long enough.
-fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>, IdentificationError> {
+fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>> {
     data.validate()?;
     plausibility::check_unit(data)?;
     let least_speed = settings.least_speed.max(1.5 * model::LEAST_SPEED);

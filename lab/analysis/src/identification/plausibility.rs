@@ -2,7 +2,7 @@
 
 use super::{
     data::{DriveData, GyroScale, Inertial, Seen, Span, are_at, median, seen},
-    error::IdentificationError,
+    error::{IdentificationError, Result},
 };
 
 /// A car with a faster median speed is not a small car, in m/s: the unit of its positions is wrong.
@@ -17,7 +17,7 @@ const TURNING: f64 = 0.3;
 const OPPOSES: f64 = -0.5;
 
 /// Whether the positions have a possible unit.
-pub(super) fn check_unit(data: &DriveData) -> Result<(), IdentificationError> {
+pub(super) fn check_unit(data: &DriveData) -> Result<()> {
     match median(data.speeds().collect()) {
         Some(median) if median > FASTEST => Err(IdentificationError::TooFast(median)),
         _ => Ok(()),
@@ -25,7 +25,7 @@ pub(super) fn check_unit(data: &DriveData) -> Result<(), IdentificationError> {
 }
 
 /// Whether the sensors agree in the stretches.
-pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), IdentificationError> {
+pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<()> {
     let within = |time: f64| are_at(spans, time);
     type Value = fn(&Inertial) -> f64;
     let channels: [(&'static str, Value); 3] = [

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{
     data::{self, Channel, GyroScale, ServoFrames, ServoTarget, Span},
-    error::IdentificationError,
+    error::Result,
     filter::FilterRun,
     fit::{Fit, Task},
     model::Model,
@@ -268,7 +268,7 @@ impl Task<'_> {
         &self,
         frames: ServoFrames,
         noise: Option<NoiseLevels>,
-    ) -> Result<Fit, IdentificationError> {
+    ) -> Result<Fit> {
         let poses = &self.data.poses;
         let seen = poses.iter().map(|pose| {
             let seen = data::seen(poses, pose.time_s);
@@ -341,11 +341,7 @@ impl Simulations<'_> {
 
     /// From one start to its minimum, with the cost there; none if it joins another of the `ways`. A way
     /// that ends at no minimum is not among these: each start fails by itself.
-    fn descend(
-        &self,
-        u: Vec<f64>,
-        ways: &mut Vec<Way>,
-    ) -> Result<Option<(f64, Fit)>, IdentificationError> {
+    fn descend(&self, u: Vec<f64>, ways: &mut Vec<Way>) -> Result<Option<(f64, Fit)>> {
         let task = self.task;
         let at = |u: Vec<f64>| {
             let run = task.run_filter(&self.servo, &u, &self.noise)?;

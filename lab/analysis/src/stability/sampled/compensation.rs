@@ -87,17 +87,11 @@ impl Compensation {
                 end + (value - end) * kept
             };
             let wheels = follows(&state.wheels, &target(age), self.servo.lag);
+            let yaw_rate = &wheels * response.yaw_rate;
+            let sideslip = &wheels * response.sideslip;
             state = Modelled {
-                yaw_rate: follows(
-                    &state.yaw_rate,
-                    &(&wheels * response.yaw_rate),
-                    response.yaw_time,
-                ),
-                sideslip: follows(
-                    &state.sideslip,
-                    &(&wheels * response.sideslip),
-                    response.slip_time,
-                ),
+                yaw_rate: follows(&state.yaw_rate, &yaw_rate, response.yaw_time),
+                sideslip: follows(&state.sideslip, &sideslip, response.slip_time),
                 wheels,
             };
             each(&state, dt);
@@ -118,30 +112,24 @@ impl Compensation {
     ) -> DMatrix<f64> {
         let mut seen = measured;
         let mut last = now.clone();
-        let end = self.run(
-            speed,
-            period,
-            self.servo.dead_time,
-            now,
-            target,
-            |state, dt| {
-                let yaw_rate = seen.row(YAW_RATE).transpose();
-                let sideslip = seen.row(SIDESLIP).transpose();
-                let later_rate = &yaw_rate + &state.yaw_rate - &last.yaw_rate;
-                let later_slip = &sideslip + &state.sideslip - &last.sideslip;
-                let turn = (yaw_rate + &later_rate) * (0.5 * dt);
-                let course = seen.row(YAW).transpose() + (&turn + sideslip + &later_slip) * 0.5;
-                let mut add = |row: usize, by: &DVector<f64>| {
-                    let mut row = seen.row_mut(row);
-                    row += by.transpose();
-                };
-                add(POSITION, &(course * (speed * dt)));
-                add(YAW, &turn);
-                seen.set_row(YAW_RATE, &later_rate.transpose());
-                seen.set_row(SIDESLIP, &later_slip.transpose());
-                last = state.clone();
-            },
-        );
+        let each = |state: &Modelled, dt: f64| {
+            let yaw_rate = seen.row(YAW_RATE).transpose();
+            let sideslip = seen.row(SIDESLIP).transpose();
+            let later_rate = &yaw_rate + &state.yaw_rate - &last.yaw_rate;
+            let later_slip = &sideslip + &state.sideslip - &last.sideslip;
+            let turn = (yaw_rate + &later_rate) * (0.5 * dt);
+            let course = seen.row(YAW).transpose() + (&turn + sideslip + &later_slip) * 0.5;
+            let mut add = |row: usize, by: &DVector<f64>| {
+                let mut row = seen.row_mut(row);
+                row += by.transpose();
+            };
+            add(POSITION, &(course * (speed * dt)));
+            add(YAW, &turn);
+            seen.set_row(YAW_RATE, &later_rate.transpose());
+            seen.set_row(SIDESLIP, &later_slip.transpose());
+            last = state.clone();
+        };
+        let end = self.run(speed, period, self.servo.dead_time, now, target, each);
         seen.set_row(super::plant::STEERING, &end.wheels.transpose());
         seen
     }

@@ -104,19 +104,15 @@ impl SampledLoop {
     /// The loop over intervals between poses of one to `longest` ticks, in every order.
     pub fn irregular(&self, longest: u32) -> Switched {
         let frame = self.timing.servo_frame;
-        let [[known_taken, known_kept], [held_taken, held_kept]] = self.tick_maps();
+        let maps = self.tick_maps();
         let mut steps = Vec::new();
         for phase in 0..frame {
-            let mut map = DMatrix::identity(known_taken.nrows(), known_taken.nrows());
+            let mut map = DMatrix::identity(maps[0][0].nrows(), maps[0][0].nrows());
             for ticks in 1..=longest {
                 let takes = (phase + ticks - 1).is_multiple_of(frame);
                 let is_known = ticks <= 1 + self.timing.predicted_pose;
-                map = match (is_known, takes) {
-                    (true, true) => &known_taken,
-                    (true, false) => &known_kept,
-                    (false, true) => &held_taken,
-                    (false, false) => &held_kept,
-                } * map;
+                let [taken, kept] = &maps[usize::from(!is_known)];
+                map = if takes { taken } else { kept } * map;
                 steps.push(Step {
                     from: phase as usize,
                     to: ((phase + ticks) % frame) as usize,
