@@ -23,75 +23,60 @@
 /// From it follow `ALL`, `name`, `named`, `documentation`, and
 /// [`Display`](core::fmt::Display). The numbers may be left out.
 ///
-/// `enum Stop: serde` reads and writes the words with serde, which the crate must depend on. Its values
-/// may have other attributes than their documentation, which is no data then.
+/// `enum Stop: serde` reads and writes the words with serde, which the crate must depend on. The values
+/// may have other attributes than their documentation.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! words {
     (
         $(#[$about:meta])*
         $vis:vis enum $name:ident {
-            $( $(#[doc = $documentation:literal])* $value:ident = $word:literal, )+
+            $( $(#[$($attribute:tt)*])* $value:ident = $word:literal, )+
         }
     ) => {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         $vis enum $name {
-            $( $(#[doc = $documentation])* $value, )+
+            $( $(#[$($attribute)*])* $value, )+
         }
 
-        $crate::words! { @words $vis $name $($value = $word,)+ }
-        $crate::words! { @documentation $vis $name $($value = $($documentation)*,)+ }
+        $crate::words! { @words $vis $name $( $(#[$($attribute)*])* $value = $word, )+ }
     };
 
     (
         $(#[$about:meta])*
         $vis:vis enum $name:ident {
-            $( $(#[doc = $documentation:literal])* $value:ident = $number:literal $word:literal, )+
+            $( $(#[$($attribute:tt)*])* $value:ident = $number:literal $word:literal, )+
         }
     ) => {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         $vis enum $name {
-            $( $(#[doc = $documentation])* $value = $number, )+
+            $( $(#[$($attribute)*])* $value = $number, )+
         }
 
-        $crate::words! { @words $vis $name $($value = $word,)+ }
-        $crate::words! { @documentation $vis $name $($value = $($documentation)*,)+ }
+        $crate::words! { @words $vis $name $( $(#[$($attribute)*])* $value = $word, )+ }
     };
 
     (
         $(#[$about:meta])*
         $vis:vis enum $name:ident: serde {
-            $( $(#[doc = $documentation:literal])* $value:ident = $word:literal, )+
-        }
-    ) => {
-        $crate::words! { @serde $(#[$about])* $vis enum $name {
-            $( $(#[doc = $documentation])* $value = $word, )+
-        } }
-        $crate::words! { @documentation $vis $name $($value = $($documentation)*,)+ }
-    };
-
-    ($(#[$about:meta])* $vis:vis enum $name:ident: serde $values:tt) => {
-        $crate::words! { @serde $(#[$about])* $vis enum $name $values }
-    };
-
-    (
-        @serde $(#[$about:meta])*
-        $vis:vis enum $name:ident {
-            $( $(#[$attribute:meta])* $value:ident = $word:literal, )+
+            $( $(#[$($attribute:tt)*])* $value:ident = $word:literal, )+
         }
     ) => {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
         $vis enum $name {
-            $( $(#[$attribute])* #[serde(rename = $word)] $value, )+
+            $( $(#[$($attribute)*])* #[serde(rename = $word)] $value, )+
         }
 
-        $crate::words! { @words $vis $name $($value = $word,)+ }
+        $crate::words! { @words $vis $name $( $(#[$($attribute)*])* $value = $word, )+ }
     };
 
-    (@words $vis:vis $name:ident $($value:ident = $word:literal,)+) => {
+    (
+        @words $vis:vis $name:ident
+        $( $(#[$($attribute:tt)*])* $value:ident = $word:literal, )+
+    ) => {
         impl $name {
             /// All values, in the order of their declaration.
             $vis const ALL: [Self; [$($name::$value),+].len()] = [$(Self::$value),+];
@@ -109,6 +94,15 @@ macro_rules! words {
             $vis fn named(word: &str) -> Option<Self> {
                 Self::ALL.into_iter().find(|value| value.name() == word)
             }
+
+            /// The documentation of this value, in Markdown.
+            #[must_use]
+            #[allow(dead_code, reason = "not every enumeration is documented to a reader")]
+            $vis const fn documentation(self) -> &'static str {
+                match self {
+                    $(Self::$value => concat!($($crate::words!(@line $($attribute)*)),*),)+
+                }
+            }
         }
 
         impl core::fmt::Display for $name {
@@ -118,16 +112,6 @@ macro_rules! words {
         }
     };
 
-    (@documentation $vis:vis $name:ident $($value:ident = $($documentation:literal)*,)+) => {
-        impl $name {
-            /// The documentation of this value, in Markdown.
-            #[must_use]
-            #[allow(dead_code, reason = "not every enumeration is documented to a reader")]
-            $vis const fn documentation(self) -> &'static str {
-                match self {
-                    $(Self::$value => concat!($($documentation, "\n"),*),)+
-                }
-            }
-        }
-    };
+    (@line doc = $line:literal) => { concat!($line, "\n") };
+    (@line $($other:tt)*) => { "" };
 }

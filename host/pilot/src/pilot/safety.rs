@@ -14,8 +14,10 @@ use crate::{supervisor::Reason, watch::WAVE};
 
 words! {
     /// What the safety filter did in a tick.
+    #[derive(Default)]
     pub enum Filtering {
         /// Nothing, or there is no filter.
+        #[default]
         None = 1 "none",
         /// It gave the law the nearest velocity of P within its bounds.
         Limited = 2 "limited",
@@ -25,13 +27,6 @@ words! {
         Stopped = 4 "stopped",
         /// It changed what was wanted for another rigid body: the car goes on when that has gone.
         Yielded = 5 "yielded",
-    }
-}
-
-#[expect(clippy::derivable_impls, reason = "words! marks no default")]
-impl Default for Filtering {
-    fn default() -> Self {
-        Self::None
     }
 }
 

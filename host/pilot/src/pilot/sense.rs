@@ -101,26 +101,24 @@ impl Pilot {
         if let Some(inertial) = sample.inertial {
             self.imu_heard = Some(inertial.time);
         }
-        if let Some(inertial) = self
-            .watches
-            .observe_board(sample, self.imu, mode, &self.config)
-        {
+        let watches = &mut self.watches;
+        let inertial = watches.observe_board(sample, self.imu, mode, &self.config);
+        if let Some(inertial) = inertial {
             self.imu_time = Some(inertial.time);
             self.gyro = inertial.yaw_rate;
-            let motor_speed = measures.then_some(sample.motor_speed);
-            match self.imu {
-                Imu::Whole => self.estimator.handle_inertial(inertial, motor_speed),
-                Imu::Gyro | Imu::Missing => self.estimator.handle_partial(inertial, motor_speed),
-            }
-        } else if self.imu == Imu::Missing {
-            let nothing = InertialSample {
-                time: sample.time,
-                yaw_rate: f64::NAN,
-                forward_acceleration: f64::NAN,
-                left_acceleration: f64::NAN,
-            };
-            let motor_speed = measures.then_some(sample.motor_speed);
-            self.estimator.handle_partial(nothing, motor_speed);
+        }
+        let nothing = InertialSample {
+            time: sample.time,
+            yaw_rate: f64::NAN,
+            forward_acceleration: f64::NAN,
+            left_acceleration: f64::NAN,
+        };
+        let motor_speed = measures.then_some(sample.motor_speed);
+        match (inertial, self.imu) {
+            (Some(inertial), Imu::Whole) => self.estimator.handle_inertial(inertial, motor_speed),
+            (Some(inertial), _) => self.estimator.handle_partial(inertial, motor_speed),
+            (None, Imu::Missing) => self.estimator.handle_partial(nothing, motor_speed),
+            (None, _) => {}
         }
     }
 }

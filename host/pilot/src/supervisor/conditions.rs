@@ -9,8 +9,10 @@ use crate::watch::ImuVerdict;
 
 words! {
     /// The mode of the pilot. The table of transitions is in `supervisor`.
+    #[derive(Default)]
     pub enum Mode {
         /// There is no usable link to a board.
+        #[default]
         Disconnected = 1 "disconnected",
         /// The arming check fails; the reason is why, or why the last drive ended.
         Idle = 2 "idle",
@@ -32,13 +34,6 @@ words! {
         Fault = 7 "fault",
         /// Servo and ESC get the operator's bare pulses, for as long as they are renewed.
         Jogging = 9 "jogging",
-    }
-}
-
-#[expect(clippy::derivable_impls, reason = "words! marks no default")]
-impl Default for Mode {
-    fn default() -> Self {
-        Self::Disconnected
     }
 }
 

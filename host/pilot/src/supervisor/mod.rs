@@ -267,8 +267,7 @@ impl Supervisor {
             if self.follow_stopped_board(now) {
                 return None;
             }
-            self.enter(Mode::Idle, stop.or(Some(Reason::OperatorGone)), now);
-            return Some(BoardRequest::Disarm);
+            return self.disarm(stop.or(Some(Reason::OperatorGone)), now);
         }
         match self.mode {
             Mode::Disconnected | Mode::Idle | Mode::Ready => {
@@ -351,6 +350,7 @@ impl Supervisor {
             self.unacknowledged = None;
         }
         let armed = board.is_some_and(BoardState::is_armed);
+        let request = (stop.is_some() && armed).then_some(BoardRequest::Disarm);
         let check = self
             .unacknowledged
             .or_else(|| self.latest.arming_check(conditions));
@@ -364,32 +364,25 @@ impl Supervisor {
             // No request to drive: what forbids that is in `preflight` alone.
             self.enter(Mode::Idle, refused, now);
             self.preflight = check;
-            return (stop.is_some() && armed).then_some(BoardRequest::Disarm);
+            return request;
         }
-        match check {
-            Some(failed) => {
-                // While the car only settles, the reason why the last drive ended stays
-                // in place, except in the tick of a refused arm request.
-                let settling = matches!(
-                    failed,
-                    Reason::Moving
-                        | Reason::ImuNotStill
-                        | Reason::EstimateUnsettled
-                        | Reason::BoardArmed
-                );
-                let ended = self.ended.filter(|_| settling && arm.is_none());
-                self.enter(Mode::Idle, ended.or(Some(failed)), now);
-                self.preflight = Some(failed);
-                (stop.is_some() && armed).then_some(BoardRequest::Disarm)
+        let Some(failed) = check else {
+            if let Some(arming) = arm {
+                return Some(self.begin_arming(arming, now));
             }
-            None => {
-                if let Some(arming) = arm {
-                    return Some(self.begin_arming(arming, now));
-                }
-                self.enter(Mode::Ready, self.ended, now);
-                None
-            }
-        }
+            self.enter(Mode::Ready, self.ended, now);
+            return None;
+        };
+        // While the car only settles, the reason why the last drive ended stays
+        // in place, except in the tick of a refused arm request.
+        let settling = matches!(
+            failed,
+            Reason::Moving | Reason::ImuNotStill | Reason::EstimateUnsettled | Reason::BoardArmed
+        );
+        let ended = self.ended.filter(|_| settling && arm.is_none());
+        self.enter(Mode::Idle, ended.or(check), now);
+        self.preflight = check;
+        request
     }
 
     fn begin_arming(&mut self, arming: Arming, now: Time) -> BoardRequest {
@@ -407,33 +400,29 @@ impl Supervisor {
         conditions: &Conditions,
     ) -> Option<BoardRequest> {
         let now = conditions.now;
-        if let Some(reason) = stop {
-            return self.abort_arming(reason, now);
-        }
-        if let Some(reason) = self.latest.latched() {
-            self.enter(Mode::Fault, Some(reason), now);
+        let latched = self.latest.latched();
+        if stop.is_none() && latched.is_some() {
+            self.enter(Mode::Fault, latched, now);
             return None;
         }
-        if refused {
-            return self.abort_arming(Reason::BoardRefused, now);
-        }
-        let failed = if self.jogs {
-            self.latest.check_while_arming_to_jog(conditions)
-        } else {
-            self.latest.check_while_arming(conditions)
+        let check = || match self.jogs {
+            true => self.latest.check_while_arming_to_jog(conditions),
+            false => self.latest.check_while_arming(conditions),
         };
-        if let Some(reason) = failed {
-            return self.abort_arming(reason, now);
+        let failed = stop
+            .or(refused.then_some(Reason::BoardRefused))
+            .or_else(check);
+        let armed = self.latest.board == Some(BoardState::Armed);
+        let late = !armed && now.seconds_since(self.since) > self.arm_timeout();
+        let failed = failed.or(late.then_some(Reason::BoardTimeout));
+        if failed.is_some() {
+            return self.disarm(failed, now);
         }
-        if self.latest.board == Some(BoardState::Armed) {
-            if self.jogs {
-                self.held = Some(now);
-                self.enter(Mode::Jogging, None, now);
-            } else {
-                self.enter(Mode::Driving, None, now);
-            }
-        } else if now.seconds_since(self.since) > self.arm_timeout() {
-            return self.abort_arming(Reason::BoardTimeout, now);
+        if armed && self.jogs {
+            self.held = Some(now);
+            self.enter(Mode::Jogging, None, now);
+        } else if armed {
+            self.enter(Mode::Driving, None, now);
         }
         None
     }
@@ -444,8 +433,8 @@ impl Supervisor {
         self.latest.config.arm_timeout + if powering_up { POWER_UP } else { 0.0 }
     }
 
-    fn abort_arming(&mut self, reason: Reason, now: Time) -> Option<BoardRequest> {
-        self.enter(Mode::Idle, Some(reason), now);
+    fn disarm(&mut self, reason: Option<Reason>, now: Time) -> Option<BoardRequest> {
+        self.enter(Mode::Idle, reason, now);
         Some(BoardRequest::Disarm)
     }
 
@@ -471,8 +460,7 @@ impl Supervisor {
             .or(conditions.implausible_motion.filter(contradicts))
             .or(self.unacknowledged);
         if self.must_disarm(conditions) {
-            self.enter(Mode::Idle, reason.or(Some(Reason::PoseTooOld)), now);
-            return Some(BoardRequest::Disarm);
+            return self.disarm(reason.or(Some(Reason::PoseTooOld)), now);
         }
         let too_far = conditions.blind_distance > self.latest.config.blind_distance;
         match reason.or(too_far.then_some(Reason::BlindTooFar)) {
@@ -530,8 +518,7 @@ impl Supervisor {
             && (stands || (blind && now.seconds_since(resting) >= REST));
         let late = now.seconds_since(self.since) > self.latest.config.stop_timeout;
         if stands || late || self.must_disarm(conditions) {
-            self.enter(Mode::Idle, self.reason, now);
-            return Some(BoardRequest::Disarm);
+            return self.disarm(self.reason, now);
         }
         None
     }
@@ -547,8 +534,7 @@ impl Supervisor {
             return None;
         }
         let reason = stop.or_else(|| self.latest.check_while_jogging(conditions))?;
-        self.enter(Mode::Idle, Some(reason), now);
-        Some(BoardRequest::Disarm)
+        self.disarm(Some(reason), now)
     }
 
     /// Whether the last pose is so old that the board would soon stop the car by itself.
@@ -562,11 +548,7 @@ impl Supervisor {
     /// ask of the board then.
     fn follow_stopped_board(&mut self, now: Time) -> bool {
         let follows = [BoardState::Armed, BoardState::Driving, BoardState::Jogging];
-        if self
-            .latest
-            .board
-            .is_some_and(|board| follows.contains(&board))
-        {
+        if (self.latest.board).is_some_and(|board| follows.contains(&board)) {
             return false;
         }
         let (mode, reason) = match self.latest.latched() {

@@ -30,15 +30,9 @@ type HandledAt = Option<Time>;
 impl AttitudeWatch {
     /// A sample.
     pub(crate) fn handle(&mut self, sample: &AttitudeSample, config: &WatchConfig) {
-        if let Some(imu) = sample.imu {
-            self.imu = Some((imu, None));
-        }
-        if let Some(body) = sample.body {
-            self.body = Some((body, None));
-        }
-        if let Some(height) = sample.height {
-            self.height = Some((height, None));
-        }
+        self.imu = sample.imu.map(|imu| (imu, None)).or(self.imu);
+        self.body = sample.body.map(|body| (body, None)).or(self.body);
+        self.height = sample.height.map(|height| (height, None)).or(self.height);
         if let Some(uncertainty) = sample.capture_uncertainty {
             // A NaN is uncertain.
             let is_certain = uncertainty <= config.max_capture_uncertainty;
@@ -58,9 +52,7 @@ impl AttitudeWatch {
     pub(crate) fn check(&self, marker_yaw: f64, config: &WatchConfig) -> Option<Reason> {
         // A NaN is within no limit.
         let level = |tilt: Tilt| hypot(tilt.roll, tilt.pitch) <= config.max_tilt;
-        if let Some((tilt, _)) = self.imu
-            && !level(tilt)
-        {
+        if self.imu.is_some_and(|(tilt, _)| !level(tilt)) {
             return Some(Reason::ImuTilted);
         }
         if let (Some((imu, _)), Some((body, _))) = (self.imu, self.body) {
@@ -75,12 +67,9 @@ impl AttitudeWatch {
             }
         }
         let [low, high] = config.height;
-        if let Some((height, _)) = self.height
-            && !(low <= height && height <= high)
-        {
-            return Some(Reason::PoseHeight);
-        }
-        None
+        let within = |height: f64| low <= height && height <= high;
+        let wrong = self.height.is_some_and(|(height, _)| !within(height));
+        wrong.then_some(Reason::PoseHeight)
     }
 
     /// Whether the mid-exposure of the poses has been uncertain for too long.
