@@ -178,8 +178,7 @@ impl Predictor {
     pub fn advance(&mut self, now: Time, speed: f64) {
         let from = self.time.replace(now).unwrap_or(now);
         let elapsed = now.seconds_since(from).clamp(0.0, FARTHEST);
-        let (wheels, response) = self.run(from, self.wheels, self.response, speed, elapsed, |_| {});
-        (self.wheels, self.response) = (wheels, response);
+        (self.wheels, self.response) = self.run(from, speed, elapsed, |_, _| {});
         // What no longer counts is forgotten.
         let counts_from = now.before(self.model.steering_dead_time);
         while let Some(&(time, steering)) = self.commands.front()
@@ -203,16 +202,9 @@ impl Predictor {
             response: self.response,
             lateral: self.lateral,
         };
-        let (wheels, _) = self.run(
-            estimate.time,
-            self.wheels,
-            self.response,
-            estimate.speed,
-            ahead,
-            |(response, dt)| state.moves(response, dt),
-        );
-        state.wheels = wheels;
-        state
+        let moves = |response, dt| state.moves(response, dt);
+        let (wheels, _) = self.run(estimate.time, estimate.speed, ahead, moves);
+        Predicted { wheels, ..state }
     }
 
     /// Runs servo and response for `duration` seconds after `from`; `each` sees the response
@@ -220,13 +212,11 @@ impl Predictor {
     fn run(
         &self,
         from: Time,
-        wheels: f64,
-        response: Response,
         speed: f64,
         duration: f64,
-        mut each: impl FnMut((Response, f64)),
+        mut each: impl FnMut(Response, f64),
     ) -> (f64, Response) {
-        let (mut wheels, mut response, mut done) = (wheels, response, 0.0);
+        let (mut wheels, mut response, mut done) = (self.wheels, self.response, 0.0);
         let dead = self.model.steering_dead_time;
         let mut target = self.before;
         let mut commands = self.commands.iter().peekable();
@@ -250,7 +240,7 @@ impl Predictor {
             let dt = end - done;
             wheels = lagged(wheels, target, self.model.steering_lag, dt);
             response = self.lateral.after(response, speed, wheels, dt);
-            each((response, dt));
+            each(response, dt);
             done = end;
         }
         (wheels, response)

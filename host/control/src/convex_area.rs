@@ -71,13 +71,9 @@ impl ConvexArea {
         if let Some(index) = corners.iter().position(|corner| !finite(corner)) {
             return Err(AreaError::NotFinite(index));
         }
-        let area: f64 = (0..count)
-            .map(|index| {
-                corners[index]
-                    .coords
-                    .perp(&corners[(index + 1) % count].coords)
-            })
-            .sum();
+        let next = |index: usize| &corners[(index + 1) % count].coords;
+        let triangles = (0..count).map(|index| corners[index].coords.perp(next(index)));
+        let area: f64 = triangles.sum();
         if area < 0.0 {
             corners.reverse();
         }
@@ -180,10 +176,8 @@ impl ConvexArea {
         let count = self.corners.len();
         let mut best = (f64::INFINITY, *point);
         for index in 0..count {
-            let (from, along) = (
-                self.corners[index],
-                self.corners[(index + 1) % count] - self.corners[index],
-            );
+            let from = self.corners[index];
+            let along = self.corners[(index + 1) % count] - from;
             let share = ((point - from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
             let candidate = from + along * share;
             let distance = (candidate - point).norm_squared();

@@ -183,16 +183,35 @@ pub struct LqiLoop {
     state: LqiState,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct LqiState {
     /// The integral of the error, along and across, in m s.
     integral: Velocity,
     /// The velocity of P by the model of its lag, along and across, in m/s.
     velocity: Velocity,
-    /// The direction of the reference's velocity; zero until it moves.
+    /// The direction of the reference's velocity; along x until it moves.
     forward: Velocity,
     /// The last answer, in m/s.
     answer: Velocity,
+}
+
+impl LqiState {
+    const NEW: Self = Self {
+        integral: Velocity::new(0.0, 0.0),
+        velocity: Velocity::new(0.0, 0.0),
+        forward: Velocity::new(1.0, 0.0),
+        answer: Velocity::new(0.0, 0.0),
+    };
+}
+
+/// The direction of the reference, or the last one if it hardly moves.
+pub(crate) fn forward_of(velocity: &Velocity, last: &Velocity) -> Velocity {
+    let speed = sqrt(velocity.norm_squared());
+    if speed >= TURNS_FROM && speed.is_finite() {
+        velocity / speed
+    } else {
+        *last
+    }
 }
 
 /// Why there is no [`LqiLoop`].
@@ -244,11 +263,6 @@ impl LqiLoop {
     ///
     /// [`LqiError`] where the weights make no regulator, or the loop does not settle.
     pub fn new(config: LqiConfig) -> Result<Self, LqiError> {
-        let gain = |axis: &LqiAxis| {
-            axis.regulator(config.period)
-                .solve()
-                .map(|solved| solved.gain)
-        };
         let usable = |axis: &LqiAxis| axis.lag.is_finite() && axis.lag >= 0.0;
         let limits = config.integral_limit.is_finite() && config.integral_limit >= 0.0;
         let period = config.period.is_finite() && config.period > 0.0;
@@ -256,14 +270,11 @@ impl LqiLoop {
         if !(usable(&config.along) && usable(&config.across) && limits && period && turns) {
             return Err(RiccatiError::NotFinite.into());
         }
-        let gains = [gain(&config.along)?, gain(&config.across)?];
-        let closed = |axis: &LqiAxis, gain: &RowVector3<f64>| {
-            let regulator = axis.regulator(config.period);
-            regulator.transition - regulator.input * gain
-        };
+        let [along, across] = [config.along, config.across].map(|it| it.regulator(config.period));
+        let gains = [along.solve()?.gain, across.solve()?.gain];
         let loops = [
-            closed(&config.along, &gains[0]),
-            closed(&config.across, &gains[1]),
+            along.transition - along.input * gains[0],
+            across.transition - across.input * gains[1],
         ];
         if !settles(&loops, config.turn_rate, config.period) {
             return Err(LqiError::Turns(config.turn_rate));
@@ -271,7 +282,7 @@ impl LqiLoop {
         Ok(Self {
             config,
             gains,
-            state: LqiState::default(),
+            state: LqiState::NEW,
         })
     }
 
@@ -285,18 +296,6 @@ impl LqiLoop {
     pub const fn integral(&self) -> Velocity {
         self.state.integral
     }
-
-    /// Both axes of the reference's frame.
-    fn turn_frame(&mut self, velocity: &Velocity) -> (Velocity, Velocity) {
-        let speed = sqrt(velocity.norm_squared());
-        if speed >= TURNS_FROM && speed.is_finite() {
-            self.state.forward = velocity / speed;
-        } else if self.state.forward == Velocity::zeros() {
-            self.state.forward = Velocity::x();
-        }
-        let forward = self.state.forward;
-        (forward, Velocity::new(-forward.y, forward.x))
-    }
 }
 
 impl OuterLoop for LqiLoop {
@@ -308,7 +307,9 @@ impl OuterLoop for LqiLoop {
             return reference.velocity;
         };
         let last = self.state;
-        let (forward, left) = self.turn_frame(&reference.velocity);
+        let forward = forward_of(&reference.velocity, &last.forward);
+        let left = Velocity::new(-forward.y, forward.x);
+        self.state.forward = forward;
         let axes = [(forward, &self.config.along), (left, &self.config.across)];
 
         // The velocity of P at this tick, by what it was given since the last one. On a circle
@@ -347,6 +348,6 @@ impl OuterLoop for LqiLoop {
     }
 
     fn reset(&mut self) {
-        self.state = LqiState::default();
+        self.state = LqiState::NEW;
     }
 }

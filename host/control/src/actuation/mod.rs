@@ -204,26 +204,17 @@ impl LimitedLaw {
     ///
     /// It is the wanted velocity where nothing limited that.
     pub fn point_velocity(&self) -> Velocity {
-        let Basis {
-            motion,
-            wheels,
-            lead,
-        } = &self.basis;
-        let Actuation {
-            speed,
-            steering,
-            steering_rate,
-        } = self.actuation;
-        let (speed, rate) = match lead {
-            None => (speed, steering_rate),
+        let (basis, sent) = (&self.basis, &self.actuation);
+        let (speed, rate) = match basis.lead {
+            None => (sent.speed, sent.steering_rate),
             Some(lead) => {
                 // A lead that a limit cut does not make a car of it that drives backward.
-                let led = speed - lead.speed;
-                let speed = if led * speed < 0.0 { 0.0 } else { led };
-                (speed, (steering - lead.wheels) / lead.steering)
+                let led = sent.speed - lead.speed;
+                let speed = if led * sent.speed < 0.0 { 0.0 } else { led };
+                (speed, (sent.steering - lead.wheels) / lead.steering)
             }
         };
-        front_point_velocity(&self.law, motion, *wheels, speed, rate)
+        front_point_velocity(&self.law, &basis.motion, basis.wheels, speed, rate)
     }
 
     /// Restarts from standstill; the steering angle is kept.
@@ -287,7 +278,14 @@ impl LimitedLaw {
         let standing = standing.or_else(|| self.overtakes(motion, steering, &wanted, ahead));
         let (speed, rate) = if let Some(wanted) = standing {
             self.turning = None;
-            let rate = self.standing_rate(motion, measured_speed, steering, &wanted)?;
+            // The steering is held once the car stands: a gyro bias b would drive the integrator
+            // with -(l_f/p + 1) b.
+            let stands =
+                self.actuation.speed == 0.0 || measured_speed.abs() < limits.standstill_speed;
+            let rate = match stands {
+                true => 0.0,
+                false => self.law.command(motion, steering, &wanted)?.steering_rate,
+            };
             (0.0, rate)
         } else if let Some(side) = self.turn_around(motion, steering, &wanted, period) {
             (limits.creep_speed, side * limits.max_steering_rate)
@@ -372,25 +370,6 @@ impl LimitedLaw {
             steering_rate: 0.0,
         };
         self.actuation
-    }
-
-    /// The steering rate of a car that should stand, rad/s.
-    ///
-    /// The steering is held once the car stands: a gyro bias b would drive the integrator
-    /// with -(`l_f`/p + 1) b.
-    fn standing_rate(
-        &self,
-        motion: &Motion,
-        measured_speed: f64,
-        steering: f64,
-        wanted: &Velocity,
-    ) -> Result<f64, Singularity> {
-        let stands =
-            self.actuation.speed == 0.0 || measured_speed.abs() < self.limits.standstill_speed;
-        if stands {
-            return Ok(0.0);
-        }
-        Ok(self.law.command(motion, steering, wanted)?.steering_rate)
     }
 
     /// The part of the wanted velocity across the wheels, for a car whose P has overtaken its

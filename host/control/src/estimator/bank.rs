@@ -77,6 +77,7 @@ type Variances = [f64; 2];
 /// The filters at one time.
 #[derive(Clone, Debug)]
 pub(super) struct Bank {
+    pub(super) config: EstimatorConfig,
     filters: [Filter; 3],
     /// How likely each made the last measurements, as a logarithm.
     likelihoods: [f64; 3],
@@ -94,6 +95,7 @@ pub(super) struct Bank {
 impl Bank {
     pub(super) fn at_pose(pose: &CarPose, time: Time, config: &EstimatorConfig) -> Self {
         Self {
+            config: *config,
             filters: PRIORS.map(|prior| Filter::at_pose(prior, pose, config)),
             likelihoods: [0.0; 3],
             refused: [0; 3],
@@ -117,13 +119,9 @@ impl Bank {
 
     /// The weights of the filters, whose sum is 1.
     pub(super) fn weights(&self) -> [f64; 3] {
-        let most = self
-            .likelihoods
-            .into_iter()
-            .fold(f64::NEG_INFINITY, f64::max);
-        let weights = self
-            .likelihoods
-            .map(|likely| exp(likely - most) + LEAST_WEIGHT);
+        let likelihoods = self.likelihoods;
+        let most = likelihoods.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        let weights = likelihoods.map(|likely| exp(likely - most) + LEAST_WEIGHT);
         let sum: f64 = weights.iter().sum();
         weights.map(|weight| weight / sum)
     }
@@ -139,13 +137,13 @@ impl Bank {
     }
 
     /// Goes on to a time.
-    pub(super) fn go(&mut self, end: Time, sent: &Sent, config: &EstimatorConfig) {
+    pub(super) fn go(&mut self, end: Time, sent: &Sent) {
         while end > self.time {
             let next = end.min(self.time.after(LONGEST_STEP));
             let dt = next.seconds_since(self.time);
             let wheels = sent.between(self.time, next);
             for filter in &mut self.filters {
-                filter.predict(dt, &wheels, config);
+                filter.predict(dt, &wheels, &self.config);
             }
             let kept = exp(-dt / FORGETTING);
             self.likelihoods = self.likelihoods.map(|likely| likely * kept);
@@ -155,13 +153,8 @@ impl Bank {
 
     /// Takes in a sample at its time. `learns` is the time since the one before, s; it is `None` where
     /// the filters are only a forecast.
-    pub(super) fn take(
-        &mut self,
-        sample: &Sample,
-        sent: &Sent,
-        config: &EstimatorConfig,
-        learns: Option<f64>,
-    ) {
+    pub(super) fn take(&mut self, sample: &Sample, sent: &Sent, learns: Option<f64>) {
+        let config = &self.config;
         let inertial = &sample.inertial;
         let age = self.time.seconds_since(inertial.time).max(0.0);
         if age > OLDEST_SAMPLE {
@@ -190,9 +183,9 @@ impl Bank {
             [gyro, acceleration]
         });
         let Some(elapsed) = learns else { return };
-        self.compare_accelerations(inertial, tangent, config);
+        self.compare_accelerations(inertial, tangent);
         let share = (elapsed / LEARNING).min(MOST_AT_ONCE);
-        let accelerometer = configured_noise(speed, config)[1];
+        let accelerometer = configured_noise(speed, &self.config)[1];
         let least = [
             square(QUIETEST_GYRO),
             square(QUIETEST_ACCELEROMETER) * accelerometer,
@@ -209,28 +202,21 @@ impl Bank {
 
     /// Corrects with a pose at the time of the filters. Returns its normalised innovation squared by
     /// the filter that was the most likely one before, and whether that accepted it.
-    pub(super) fn correct_pose(&mut self, pose: &CarPose, config: &EstimatorConfig) -> (f64, bool) {
+    pub(super) fn correct_pose(&mut self, pose: &CarPose) -> (f64, bool) {
         let best = self.most_likely();
-        let results = self
-            .filters
-            .each_mut()
-            .map(|filter| filter.correct_pose(pose, config));
+        let filters = self.filters.each_mut();
+        let results = filters.map(|filter| filter.correct_pose(pose, &self.config));
         self.take_likelihoods();
-        self.find_lost(&results, best, pose, config);
+        self.find_lost(&results, best, pose);
         results[best]
     }
 
     /// What the accelerometer measures to the left beyond the motion, as a mean.
-    fn compare_accelerations(
-        &mut self,
-        inertial: &InertialSample,
-        tangent: f64,
-        config: &EstimatorConfig,
-    ) {
+    fn compare_accelerations(&mut self, inertial: &InertialSample, tangent: f64) {
         if inertial.left_acceleration.is_nan() {
             return;
         }
-        let left = self.best().left_acceleration(tangent, config);
+        let left = self.best().left_acceleration(tangent, &self.config);
         self.accelerations = self.accelerations.saturating_add(1);
         let share = (SAMPLE_PERIOD / BIAS_TIME).max(1.0 / f64::from(self.accelerations));
         self.left_bias += share * (inertial.left_acceleration - left - self.left_bias);
@@ -238,20 +224,14 @@ impl Bank {
 
     /// Filters that go on refusing the poses that the best one accepts have lost the car, and start
     /// again. All count their turns alike, so that the mean of their yaws is one.
-    fn find_lost(
-        &mut self,
-        results: &[(f64, bool); 3],
-        best: usize,
-        pose: &CarPose,
-        config: &EstimatorConfig,
-    ) {
+    fn find_lost(&mut self, results: &[(f64, bool); 3], best: usize, pose: &CarPose) {
         let known = self.filters[best];
         for (index, filter) in self.filters.iter_mut().enumerate() {
             let is_lost = results[best].1 && !results[index].1;
             let refused = &mut self.refused[index];
             *refused = if is_lost { *refused + 1 } else { 0 };
             if *refused >= LOST {
-                *filter = filter.found_by(&known, pose, config);
+                *filter = filter.found_by(&known, pose, &self.config);
                 *refused = 0;
             }
             filter.count_turns_as(known.yaw());
@@ -265,16 +245,9 @@ impl Bank {
     }
 
     /// The weighted mean of the filters' motions.
-    pub(super) fn navigation(
-        &self,
-        weights: [f64; 3],
-        sent: &Sent,
-        config: &EstimatorConfig,
-    ) -> Navigation {
+    pub(super) fn navigation(&self, weights: [f64; 3], sent: &Sent) -> Navigation {
         let tangent = tan(sent.at(self.time));
-        let all = self
-            .filters
-            .map(|filter| filter.navigation(tangent, config));
+        let all = (self.filters).map(|filter| filter.navigation(tangent, &self.config));
         Navigation::mean(&all, weights)
     }
 }

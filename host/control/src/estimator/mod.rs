@@ -249,7 +249,10 @@ impl Estimator {
         let same_body = config.marker_offset == self.config.marker_offset
             && config.marker_yaw.to_bits() == self.config.marker_yaw.to_bits();
         match &mut self.track {
-            Some(track) if same_body => track.poses = 0,
+            Some(track) if same_body => {
+                track.poses = 0;
+                track.bank.config = config;
+            }
             _ => *self = Self::new(config),
         }
         self.sent = Sent::new(config.steering_dead_time, config.steering_lag);
@@ -323,14 +326,13 @@ impl Estimator {
     /// innovation gate.
     pub fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
         let measurement = self.centre_of_mass(pose);
-        let config = self.config;
         let Some(track) = self.advance(pose.capture) else {
             return self.start(&measurement, pose.capture);
         };
         if pose.capture <= track.pose_time || pose.capture < track.bank.time {
             return PoseVerdict::Late;
         }
-        let (innovation, within) = track.bank.correct_pose(&measurement, &config);
+        let (innovation, within) = track.bank.correct_pose(&measurement);
         track.innovation = innovation;
         if !within {
             self.implausible_in_a_row = self.implausible_in_a_row.saturating_add(1);
@@ -487,11 +489,11 @@ impl Estimator {
             let elapsed = self.current.map_or(SAMPLE_PERIOD, |before| {
                 next.inertial.time.seconds_since(before.inertial.time)
             });
-            bank.go(next.inertial.time, &self.sent, &self.config);
-            bank.take(&next, &self.sent, &self.config, Some(elapsed));
+            bank.go(next.inertial.time, &self.sent);
+            bank.take(&next, &self.sent, Some(elapsed));
             self.current = Some(next);
         }
-        bank.go(end, &self.sent, &self.config);
+        bank.go(end, &self.sent);
         Some(track)
     }
 
@@ -503,10 +505,10 @@ impl Estimator {
             if sample.inertial.time > end {
                 break;
             }
-            present.go(sample.inertial.time, &self.sent, &self.config);
-            present.take(sample, &self.sent, &self.config, None);
+            present.go(sample.inertial.time, &self.sent);
+            present.take(sample, &self.sent, None);
         }
-        present.go(end, &self.sent, &self.config);
-        Some(present.navigation(known.weights(), &self.sent, &self.config))
+        present.go(end, &self.sent);
+        Some(present.navigation(known.weights(), &self.sent))
     }
 }

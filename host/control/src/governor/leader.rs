@@ -268,10 +268,8 @@ impl Leader {
         let along = here.velocity / speed;
         let across = left(&along);
         let wide = bend_offset(reference, path, config.least_radius());
-        let away = here
-            .position
-            .map_or(0.0, |position| (position - point).dot(&across))
-            + wide;
+        let off = |position: Position| (position - point).dot(&across);
+        let away = here.position.map_or(0.0, off) + wide;
         let aim = AIM * along + away * across;
         aim * (speed / sqrt(aim.norm_squared()))
     }

@@ -12,7 +12,7 @@ use self::solver::{
 };
 use crate::{
     ConvexArea, Position, ReferencePoint, Velocity,
-    outer_loop::{OuterLoop, TrackingInput},
+    outer_loop::{OuterLoop, TrackingInput, forward_of},
     riccati::RiccatiError,
 };
 
@@ -25,8 +25,6 @@ const ABSURD: f64 = 1e3;
 /// The largest disturbance that is believed, as a share of the largest speed: a car that does
 /// not move at all is no drift.
 const LARGEST_DISTURBANCE: f64 = 0.25;
-/// Below this speed of the reference (m/s) its frame keeps its direction.
-const TURNS_FROM: f64 = 0.02;
 
 /// The settings of a [`MpcLoop`].
 #[derive(Clone, Debug, PartialEq)]
@@ -158,16 +156,6 @@ fn into_frame(forward: &Velocity, vector: &Velocity) -> Velocity {
 
 fn is_finite(vector: &Velocity) -> bool {
     vector.iter().all(|number| number.is_finite())
-}
-
-/// The direction of the reference, or the last one if it hardly moves.
-fn forward_of(velocity: &Velocity, last: &Velocity) -> Velocity {
-    let speed = sqrt(velocity.norm_squared());
-    if speed >= TURNS_FROM && speed.is_finite() {
-        velocity / speed
-    } else {
-        *last
-    }
 }
 
 impl<const N: usize, const H: usize> MpcLoop<N, H> {

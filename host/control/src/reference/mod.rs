@@ -131,9 +131,9 @@ impl Reference {
     /// from outside, which no one knows beforehand.
     pub fn at(&self, time: f64) -> ReferencePoint {
         match self {
-            Self::Circle(circle) => circle.at(time),
+            Self::Circle(circle) => circle.on_lap(circle.phase + time),
             Self::VelocitySteps(steps) => steps.at(time),
-            Self::FigureOfEight(figure) => figure.at(time),
+            Self::FigureOfEight(figure) => figure.on_lap(figure.phase + time),
             Self::Waypoints(waypoints) => waypoints.at(time),
             Self::Path(path) => path.at(time),
             Self::External(_) => ReferencePoint::default(),

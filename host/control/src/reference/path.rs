@@ -154,10 +154,8 @@ impl Path {
     pub fn points(&self) -> impl Iterator<Item = Position> + '_ {
         let surplus = usize::from(self.is_closed);
         let count = self.knots.len().saturating_sub(surplus);
-        self.knots
-            .iter()
-            .take(count)
-            .map(|knot| Position::from(knot.position))
+        let knots = self.knots.iter().take(count);
+        knots.map(|knot| Position::from(knot.position))
     }
 
     /// The time from the first point to the last one, or once round, in s.

@@ -69,10 +69,6 @@ impl Circle {
         self.angular_velocity
     }
 
-    pub(super) fn at(&self, time: f64) -> ReferencePoint {
-        self.on_lap(self.phase + time)
-    }
-
     pub(super) fn on_lap(&self, time: f64) -> ReferencePoint {
         let radial = self.radius * direction(self.angular_velocity * time);
         ReferencePoint {
@@ -113,10 +109,6 @@ impl FigureOfEight {
             angular_velocity: finite("angular_velocity_rad_s", angular_velocity)?,
             phase: 0.0,
         })
-    }
-
-    pub(super) fn at(&self, time: f64) -> ReferencePoint {
-        self.on_lap(self.phase + time)
     }
 
     pub(super) fn on_lap(&self, time: f64) -> ReferencePoint {
@@ -213,23 +205,20 @@ impl VelocitySteps {
     }
 
     pub(super) fn next_switch(&self, time: f64) -> Option<f64> {
-        self.steps
-            .iter()
-            .map(|step| step.0)
-            .take(self.steps.len().saturating_sub(1))
-            .find(|end| *end > time + ROUNDING)
+        let [switches @ .., _] = &self.steps[..] else {
+            return None;
+        };
+        let mut ends = switches.iter().map(|step| step.0);
+        ends.find(|end| *end > time + ROUNDING)
     }
 
     /// The first step whose end satisfies a condition, or the last step.
     fn first(&self, condition: impl Fn(f64) -> bool) -> ReferencePoint {
+        let step = self.steps.iter().find(|(end, _)| condition(*end));
+        let step = step.or(self.steps.last());
         ReferencePoint {
             position: None,
-            velocity: self
-                .steps
-                .iter()
-                .find(|(end, _)| condition(*end))
-                .or(self.steps.last())
-                .map_or_else(Velocity::zeros, |step| step.1),
+            velocity: step.map_or_else(Velocity::zeros, |step| step.1),
         }
     }
 }
@@ -291,10 +280,12 @@ impl Waypoints {
     }
 
     pub(super) fn at(&self, time: f64) -> ReferencePoint {
-        self.between(
-            time,
-            self.points.partition_point(|point| point.time <= time),
-        )
+        self.between(time, self.passed(time))
+    }
+
+    /// The number of waypoints until `time`, in s.
+    fn passed(&self, time: f64) -> usize {
+        self.points.partition_point(|point| point.time <= time)
     }
 
     pub(super) fn before(&self, time: f64) -> ReferencePoint {
@@ -302,9 +293,7 @@ impl Waypoints {
     }
 
     pub(super) fn next_switch(&self, time: f64) -> Option<f64> {
-        self.points
-            .get(self.points.partition_point(|point| point.time <= time))
-            .map(|point| point.time)
+        Some(self.points.get(self.passed(time))?.time)
     }
 
     /// The reference at `time` (s), between the waypoint `next` and the one before it.

@@ -250,7 +250,6 @@ impl Pilot {
                     law: &law,
                     path,
                     limits: &config.limits,
-                    now,
                     period,
                 };
                 let (state, velocity, lead) =

@@ -66,7 +66,6 @@ pub(super) struct Course<'a> {
     pub(super) law: &'a FrontPointLaw,
     pub(super) path: PathAhead<'a>,
     pub(super) limits: &'a Limits,
-    pub(super) now: Time,
     pub(super) period: f64,
 }
 
@@ -165,7 +164,7 @@ impl Compensator {
         // speed can change in it.
         let plans = tracking.plans();
         let planned = |state: &Predicted| {
-            let speed = self.planned_for(course.now.after(state.ahead), course.period)?;
+            let speed = self.planned_for(course.path.now.after(state.ahead), course.period)?;
             let limits = course.limits;
             let most = limits.max_speed.min(limits.speed_in_bend(state.wheels));
             plans.then_some(speed.clamp(-most, most))
@@ -195,7 +194,7 @@ impl Compensator {
         let most = course.limits.max_acceleration;
         let slope = ((next.speed - command.speed) / course.period).clamp(-most, most);
         let correction = self.correction(course, estimate.speed);
-        self.plan(course.now.after(later.ahead), command.speed);
+        self.plan(course.path.now.after(later.ahead), command.speed);
         let asked = command.speed + model.speed_lag * slope + correction;
         (self.asked, self.sent) = (asked, asked);
         let lead = Lead {
@@ -217,7 +216,7 @@ impl Compensator {
     /// What the deviation from the planned speed adds to the command, m/s.
     fn correction(&mut self, course: &Course<'_>, speed: f64) -> f64 {
         while let Some(&(time, planned)) = self.planned.front()
-            && time <= course.now
+            && time <= course.path.now
         {
             self.due = Some(planned);
             self.planned.pop_front();
