@@ -138,11 +138,11 @@ pub(super) struct Seen {
     pub(super) yaw_rate: f64,
 }
 
-/// The poses up to `reach`, in s, before and after `time`.
+/// The poses up to `reach`, in s, before and after `time`; none of poses that are not in order.
 fn around(poses: &[Pose], reach: f64, time: f64) -> &[Pose] {
     let from = poses.partition_point(|pose| pose.time_s < time - reach);
     let to = poses.partition_point(|pose| pose.time_s <= time + reach);
-    &poses[from..to]
+    poses.get(from..to).unwrap_or(&[])
 }
 
 /// The motion from the straight lines through the poses around `time`. None with too few poses.
