@@ -193,8 +193,8 @@ impl EventHandler<f64> for Filter<'_> {
     fn advance(&mut self, step: f64, target: f64, forward: [f64; 2]) -> Option<()> {
         let estimate = self.seeded();
         let forward = forward.map(|forward| -estimate.forward_bias + forward);
-        let step_of = Dual::from(step);
-        let motion = (self.model).advance(estimate.motion, step_of, target, forward)?;
+        let before = estimate.motion;
+        let motion = (self.model).advance(before, Dual::from(step), target, forward)?;
         let rows = StateEstimate { motion, ..estimate }.states();
         let derivatives = core::array::from_fn::<_, STATES, _>(|state| {
             let plain = Some(state).filter(|state| !SEEDS.contains(state));
