@@ -123,8 +123,7 @@ impl BoardClock {
             return self.begin(receive_time_ns, board_time_us);
         };
         let since_last_us = board_time_us.wrapping_sub(origin.newest_raw_us);
-        let (before_us, since_us) = (origin.newest_elapsed_us, since_last_us.into());
-        let elapsed_us = before_us.saturating_add(since_us);
+        let elapsed_us = (origin.newest_elapsed_us).saturating_add(u64::from(since_last_us));
         let board_ns = nanoseconds(elapsed_us);
         let host_ns = signed_difference(receive_time_ns, origin.host_ns);
         let excess_ns = host_ns.saturating_sub(board_ns);

@@ -184,7 +184,7 @@ pub struct RoundTrip {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Latency {
     sent: [Option<(Sequence, u64)>; REMEMBERED],
-    /// None before the first answer.
+    /// The time to the board and back; none before the first answer.
     pub(crate) round_trip: Option<RoundTrip>,
 }
 

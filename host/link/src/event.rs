@@ -167,11 +167,15 @@ impl VersionMismatch {
 
 impl fmt::Display for VersionMismatch {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [[a, b, c], [d, e, f]] = [self.board_software, self.host_software];
+        let Self {
+            board_protocol,
+            board_software: board,
+            host_software: host,
+        } = self;
         write!(
             formatter,
-            "the board (software {a}.{b}.{c}) speaks protocol {}, the host (software {d}.{e}.{f}) speaks protocol {VERSION}: ",
-            self.board_protocol
+            "the board (software {}.{}.{}) speaks protocol {board_protocol}, the host (software {}.{}.{}) speaks protocol {VERSION}: ",
+            board[0], board[1], board[2], host[0], host[1], host[2]
         )?;
         formatter.write_str(match self.outdated() {
             Side::Board => "flash the board with the firmware of the host's release",
@@ -328,7 +332,7 @@ impl QualityWindow {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct BoardQuality {
     since: Option<Status>,
-    /// Over the last span; none before two reports.
+    /// The quality over the last span; none before two reports.
     pub(crate) last: Option<LineQuality>,
 }
 

@@ -80,7 +80,11 @@ impl Nonces {
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         let nonce = (z >> 32) as u32;
-        nonce.wrapping_add(u32::from(nonce == UNSOLICITED))
+        if nonce == UNSOLICITED {
+            UNSOLICITED.wrapping_add(1)
+        } else {
+            nonce
+        }
     }
 }
 
@@ -129,18 +133,33 @@ impl Pending {
     }
 }
 
+/// The two ways to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StopKind {
+    Disarm,
+    EmergencyStop,
+}
+
+impl StopKind {
+    pub(crate) const fn request(self) -> Request {
+        match self {
+            Self::Disarm => Request::Disarm,
+            Self::EmergencyStop => Request::EmergencyStop,
+        }
+    }
+}
+
 /// A stop, repeated until telemetry shows its effect.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stop {
-    /// [`Request::EmergencyStop`], or else [`Request::Disarm`].
-    pub(crate) kind: Request,
+    pub(crate) kind: StopKind,
     pub(crate) sequence: Sequence,
     pub(crate) next_ns: u64,
     answered: bool,
 }
 
 impl Stop {
-    pub(crate) const fn new(kind: Request, sequence: Sequence, now_ns: u64) -> Self {
+    pub(crate) const fn new(kind: StopKind, sequence: Sequence, now_ns: u64) -> Self {
         Self {
             kind,
             sequence,
@@ -156,14 +175,14 @@ impl Stop {
         self.next_ns = now_ns.saturating_add(RETRY_INTERVAL_NS);
         let request = self.sequence;
         Some(match self.kind {
-            Request::EmergencyStop => EmergencyStop { request }.into(),
-            _ => Disarm { request }.into(),
+            StopKind::Disarm => Disarm { request }.into(),
+            StopKind::EmergencyStop => EmergencyStop { request }.into(),
         })
     }
 
     /// Takes an answer; true when it is the first one to this request.
     pub(crate) fn answer(&mut self, request: Request, sequence: Sequence) -> bool {
-        let matches = request == self.kind && sequence == self.sequence;
+        let matches = request == self.kind.request() && sequence == self.sequence;
         let first = matches && !self.answered;
         self.answered |= matches;
         first
@@ -176,8 +195,8 @@ impl Stop {
     /// after it, so the answer comes first.
     pub(crate) fn is_confirmed_by(&self, mode: BoardMode) -> bool {
         match self.kind {
-            Request::EmergencyStop => mode == BoardMode::EmergencyStopped,
-            _ => self.answered && !mode.is_armed(),
+            StopKind::Disarm => self.answered && !mode.is_armed(),
+            StopKind::EmergencyStop => mode == BoardMode::EmergencyStopped,
         }
     }
 }

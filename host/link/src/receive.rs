@@ -232,7 +232,9 @@ impl Session {
         }
         let mode = telemetry.mode;
         if let Some(stop) = self.stop.take_if(|stop| stop.is_confirmed_by(mode)) {
-            wake.tell(Event::StopConfirmed { request: stop.kind });
+            wake.tell(Event::StopConfirmed {
+                request: stop.kind.request(),
+            });
         }
     }
 

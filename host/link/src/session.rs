@@ -13,7 +13,9 @@ use crate::{
         self, DriveCommand, DriveError, JogCommand, Latency, NewestTelemetry, NotReady, RoundTrip,
     },
     event::{BoardQuality, Counters, Event, LineQuality, LossCause, QualityWindow, State},
-    handshake::{Greeting, HELLO_INTERVAL_NS, Nonces, Pending, Phase, SLOW_RETRY_NS, Stop},
+    handshake::{
+        Greeting, HELLO_INTERVAL_NS, Nonces, Pending, Phase, SLOW_RETRY_NS, Stop, StopKind,
+    },
 };
 
 /// The board is lost when no good frame has arrived from it for this long, in
@@ -156,13 +158,13 @@ impl Session {
     ///
     /// It does not replace an emergency stop that is not confirmed yet.
     pub fn disarm(&mut self, now_ns: u64) -> Sequence {
-        self.stop(now_ns, Request::Disarm)
+        self.stop(now_ns, StopKind::Disarm)
     }
 
     /// Asks the board to stop until it is reset; otherwise as
     /// [`disarm`](Self::disarm), which it replaces.
     pub fn emergency_stop(&mut self, now_ns: u64) -> Sequence {
-        self.stop(now_ns, Request::EmergencyStop)
+        self.stop(now_ns, StopKind::EmergencyStop)
     }
 
     /// Gives the board another configuration: now if it is connected, otherwise once
@@ -229,7 +231,10 @@ impl Session {
         if !matches!(self.phase, Phase::Ready) {
             return Err(NotReady::NotConfigured);
         }
-        self.stop.map_or(Ok(()), |_| Err(NotReady::StopPending))
+        match self.stop {
+            Some(_) => Err(NotReady::StopPending),
+            None => Ok(()),
+        }
     }
 
     /// Number and telemetry of a command that leads to `mode`.
@@ -317,10 +322,10 @@ impl Session {
 
     // Shared by the handlers.
 
-    fn stop(&mut self, now_ns: u64, kind: Request) -> Sequence {
+    fn stop(&mut self, now_ns: u64, kind: StopKind) -> Sequence {
         self.arm = None;
         if let Some(stop) = self.stop
-            && (stop.kind == kind || stop.kind == Request::EmergencyStop)
+            && (stop.kind == kind || stop.kind == StopKind::EmergencyStop)
         {
             return stop.sequence;
         }
@@ -427,21 +432,22 @@ impl Session {
             self.greet(now_ns);
             return;
         }
-        let (request, pending) = match self.phase {
-            Phase::Configuring { pending, .. } if pending.is_exhausted(now_ns) => {
-                (Request::Configure, Some(pending))
-            }
-            _ => (
-                Request::Arm,
-                self.arm.take_if(|arm| arm.is_exhausted(now_ns)),
-            ),
-        };
-        if let Some(Pending { sequence, .. }) = pending {
+        if let Phase::Configuring { pending, .. } = self.phase
+            && pending.is_exhausted(now_ns)
+        {
             self.counters.requests_unanswered += 1;
-            on_event(Event::Unanswered { request, sequence });
-            if request == Request::Configure {
-                self.greet(now_ns);
-            }
+            on_event(Event::Unanswered {
+                request: Request::Configure,
+                sequence: pending.sequence,
+            });
+            self.greet(now_ns);
+        }
+        if let Some(arm) = self.arm.take_if(|arm| arm.is_exhausted(now_ns)) {
+            self.counters.requests_unanswered += 1;
+            on_event(Event::Unanswered {
+                request: Request::Arm,
+                sequence: arm.sequence,
+            });
         }
     }
 
