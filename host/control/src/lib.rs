@@ -4,8 +4,8 @@
 //! yaw, yaw rate, sideslip and steering are positive to the left
 //! (counter-clockwise seen from above). The car's axes are forward, left, up.
 //!
-//! Nothing here reads a clock, allocates, or calls the platform's mathematics
-//! library: the same inputs give the same bits in every build, on every machine.
+//! Nothing here reads a clock, allocates without the feature `alloc`, or calls the platform's
+//! mathematics library: the same inputs give the same bits in every build, on every machine.
 //!
 //! The vehicle models are generic over the [`Number`], so that an analysis can differentiate
 //! the same equations that the simulator runs.
@@ -16,7 +16,7 @@
 
 #![no_std]
 
-#[cfg(feature = "alloc")]
+#[cfg(any(feature = "alloc", test))]
 extern crate alloc;
 #[cfg(test)]
 extern crate std;

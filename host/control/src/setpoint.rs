@@ -16,7 +16,7 @@ pub const MAX_TRAJECTORY_POINTS: usize = 100;
 /// the car are applied to the rest.
 const MAX_COORDINATE: f64 = 10_000.0;
 const MAX_STEERING: f64 = core::f64::consts::FRAC_PI_2;
-/// In m/s, m/s² and rad/s.
+/// The largest velocity (m/s), acceleration (m/s²) and steering rate (rad/s).
 const MAX_RATE: f64 = 100.0;
 
 /// The longest time until a trajectory begins, s.

@@ -32,7 +32,7 @@ pub type SingleTrackDerivative<N = f64> = SingleTrackState<N>;
 
 impl<N: Number> SingleTrackState<N> {
     /// The lateral motion in this state at a speed of G, in m/s, and a steering angle, in rad.
-    pub const fn lateral(&self, speed: N, steering: N) -> LateralMotion<N> {
+    pub const fn lateral_motion(&self, speed: N, steering: N) -> LateralMotion<N> {
         LateralMotion {
             yaw_rate: self.yaw_rate,
             sideslip: self.sideslip,
@@ -150,7 +150,7 @@ impl SingleTrack {
         speed: f64,
         steering: f64,
     ) -> SingleTrackDerivative {
-        let lateral = self.lateral(&state.lateral(speed, steering));
+        let lateral = self.lateral(&state.lateral_motion(speed, steering));
         state.derivative::<Libm>(speed, lateral)
     }
 }
@@ -433,7 +433,7 @@ impl RelaxedSingleTrack {
     fn dynamic(&self, state: &SingleTrackState, speed: f64, steering: f64) -> LateralRate {
         // The equations divide by the speed; below this one the kinematic model alone counts.
         let pace = speed.abs().max(KINEMATIC_BELOW);
-        let motion = state.lateral(if speed < 0.0 { -pace } else { pace }, steering);
+        let motion = state.lateral_motion(if speed < 0.0 { -pace } else { pace }, steering);
         let forces = self.axles.forces::<Libm, f64>(&motion);
         self.axles.lateral::<Libm, f64>(&motion, &forces)
     }

@@ -1,7 +1,7 @@
 //! Root mean squares, straight lines, rates and percentiles of measured values, and [`Random`]
 //! numbers from a seed.
 
-#[cfg(feature = "alloc")]
+#[cfg(any(feature = "alloc", test))]
 use alloc::vec::Vec;
 
 /// The longest time between two arrivals.
@@ -81,11 +81,11 @@ impl Arrivals {
 
 /// Values in ascending order; values that are not finite are left out. Its percentiles are
 /// nearest-rank percentiles: the smallest value that a given part of all values does not exceed.
-#[cfg(feature = "alloc")]
+#[cfg(any(feature = "alloc", test))]
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Distribution(Vec<f64>);
 
-#[cfg(feature = "alloc")]
+#[cfg(any(feature = "alloc", test))]
 impl Distribution {
     /// The distribution of `values`, in the unit of the values.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
@@ -290,7 +290,6 @@ mod tests {
         assert_eq!(arrivals.last_ns(), Some(5));
     }
 
-    #[cfg(feature = "alloc")]
     #[test]
     fn quantiles_are_values_that_occur() {
         let values = Distribution::of((1..=100).map(f64::from).chain([f64::NAN]));
@@ -302,7 +301,6 @@ mod tests {
         assert_eq!(Distribution::of([]).quantile(0.5), None);
     }
 
-    #[cfg(feature = "alloc")]
     #[test]
     fn ranks_of_per_mille_are_exact() {
         for count in 1..=2_000_u32 {
@@ -318,7 +316,6 @@ mod tests {
         }
     }
 
-    #[cfg(feature = "alloc")]
     #[test]
     fn a_value_at_a_bound_is_up_to_it_and_not_below_it() {
         let values = Distribution::of([2.0, 1.0, 2.0, 3.0]);
@@ -327,7 +324,6 @@ mod tests {
         assert_eq!(values.sorted(), [1.0, 2.0, 2.0, 3.0]);
     }
 
-    #[cfg(feature = "alloc")]
     #[test]
     fn only_finite_values_have_a_root_mean_square() {
         assert_eq!(

@@ -34,7 +34,6 @@ impl Range {
         }
     }
 
-    /// The range on the other side.
     /// The range of a function that rises.
     pub(crate) fn map(self, function: impl Fn(f64) -> f64) -> Self {
         Self {
@@ -43,6 +42,7 @@ impl Range {
         }
     }
 
+    /// The range on the other side.
     pub(crate) const fn mirrored(self) -> Self {
         Self {
             least: -self.most,

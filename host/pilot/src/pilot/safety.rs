@@ -164,7 +164,7 @@ impl Pilot {
         let filtered = filter.step(&input, wanted, trial);
         let without = alone(&input, &filtered).map(|alone| filter.step(&alone, wanted, trial));
         let moves = |velocity: &Velocity| velocity.norm() >= CREEP;
-        let (velocity, yields) = self.left((filtered, without), *wanted, moves);
+        let (velocity, yields) = self.what_is_left((filtered, without), *wanted, moves);
         if yields {
             let given = velocity.unwrap_or_default();
             self.delay = self.obstacles.delay(wanted, &given);
@@ -205,7 +205,7 @@ impl Pilot {
         let input = self.safety_input(estimate, now.steering);
         let filtered = filter.demand(&input, trial);
         let without = alone(&input, &filtered).map(|alone| filter.demand(&alone, trial));
-        let (share, yields) = self.left((filtered, without), 1.0, |share| *share > 0.0);
+        let (share, yields) = self.what_is_left((filtered, without), 1.0, |share| *share > 0.0);
         let actuation = match share {
             Some(share) => {
                 let (steering, speed) = part(share);
@@ -223,7 +223,7 @@ impl Pilot {
     /// What the filter leaves of the whole of a demand, from its answers with and without other bodies.
     /// The car yields to these where the answers differ; what does not move it then is nothing. None where
     /// it stops, and whether it yields, or did a moment ago.
-    fn left<T: PartialEq>(
+    fn what_is_left<T: PartialEq>(
         &mut self,
         (filtered, without): (Filtered<T>, Option<Filtered<T>>),
         whole: T,

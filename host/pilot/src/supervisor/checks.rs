@@ -249,13 +249,18 @@ impl LatestState {
         let refused = |granted: RealTimeState| !(granted.fifo && granted.memory_locked);
         let is_refused = self.real_time.is_some_and(refused);
         let is_noisy = (self.line).is_some_and(|line| line.worst() > config.max_damaged);
-        match () {
-            () if health.stop_input_open => Some(Reason::StopInputOpen),
-            () if config.min_battery > 0.0 && health.battery_open => Some(Reason::BatteryOpen),
-            () if self.battery_low >= BATTERY_LOW_REPORTS => Some(Reason::BatteryLow),
-            () if self.real_time.is_none() => Some(Reason::RealTimeUnknown),
-            () if config.require_real_time && is_refused => Some(Reason::RealTimeRefused),
-            () => is_noisy.then_some(Reason::LineNoisy),
+        if health.stop_input_open {
+            Some(Reason::StopInputOpen)
+        } else if config.min_battery > 0.0 && health.battery_open {
+            Some(Reason::BatteryOpen)
+        } else if self.battery_low >= BATTERY_LOW_REPORTS {
+            Some(Reason::BatteryLow)
+        } else if self.real_time.is_none() {
+            Some(Reason::RealTimeUnknown)
+        } else if config.require_real_time && is_refused {
+            Some(Reason::RealTimeRefused)
+        } else {
+            is_noisy.then_some(Reason::LineNoisy)
         }
     }
 
@@ -292,11 +297,15 @@ impl LatestState {
 
 /// The geofence, other rigid bodies, the timing of the ticks, and the age of an external set-point.
 const fn check_fence_and_deadlines(conditions: &Conditions) -> Option<Reason> {
-    match () {
-        () if !conditions.inside_fence => Some(Reason::OutsideFence),
-        () if conditions.neighbours.is_some() => conditions.neighbours,
-        () if conditions.late => Some(Reason::DeadlineMissed),
-        () if conditions.setpoint_stale => Some(Reason::SetpointStale),
-        () => None,
+    if !conditions.inside_fence {
+        Some(Reason::OutsideFence)
+    } else if conditions.neighbours.is_some() {
+        conditions.neighbours
+    } else if conditions.late {
+        Some(Reason::DeadlineMissed)
+    } else if conditions.setpoint_stale {
+        Some(Reason::SetpointStale)
+    } else {
+        None
     }
 }

@@ -111,7 +111,7 @@ impl<D: Dual> Model<D> {
             yaw_rate: s.yaw_rate,
             sideslip: s.sideslip,
         };
-        let motion = state.lateral(s.speed, s.steering);
+        let motion = state.lateral_motion(s.speed, s.steering);
         let forces = self.axles.forces::<DualFunctions, D>(&motion);
         let lateral = self.axles.lateral::<DualFunctions, D>(&motion, &forces);
         let rate = state.derivative::<DualFunctions>(s.speed, lateral);

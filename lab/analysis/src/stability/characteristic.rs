@@ -136,8 +136,12 @@ impl ClosedLoop {
                     front_point(&self.vehicle, self.point_distance, self.inverse_square());
                 let v = self.speed;
                 let dl = self.deviation;
-                let odd = [a1.at(dl) / v, a3.at(dl) / v];
-                CharacteristicPolynomial::Quartic([a0.at(dl), odd[0], a2.at(dl), odd[1]])
+                CharacteristicPolynomial::Quartic([
+                    a0.at(dl),
+                    a1.at(dl) / v,
+                    a2.at(dl),
+                    a3.at(dl) / v,
+                ])
             }
             Law::VelocityPoint => CharacteristicPolynomial::Cubic(
                 self.velocity_point_coefficients()

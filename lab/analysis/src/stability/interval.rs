@@ -74,12 +74,12 @@ impl Interval {
         let ends = self * self;
         let [low, high] = [self.low.abs(), self.high.abs()];
         let [least, most] = [low.min(high), low.max(high)];
-        match () {
-            () if ends.low.is_nan() => ends,
-            () if self.low <= 0.0 && self.high >= 0.0 => {
-                Self::between(0.0, (most * most).next_up())
-            }
-            () => Self::outward(least * least, most * most),
+        if ends.low.is_nan() {
+            ends
+        } else if self.low <= 0.0 && self.high >= 0.0 {
+            Self::between(0.0, (most * most).next_up())
+        } else {
+            Self::outward(least * least, most * most)
         }
     }
 

@@ -100,7 +100,7 @@ fn slope(vehicle: &VehicleParameters, speed: f64, variable: usize) -> [f64; 4] {
         sideslip,
     };
     let speed = Dual64::from(speed);
-    let lateral = SingleTrack::new(*vehicle).lateral(&state.lateral(speed, steering));
+    let lateral = SingleTrack::new(*vehicle).lateral(&state.lateral_motion(speed, steering));
     let rate = state.derivative::<DualFunctions>(speed, lateral);
     [rate.y, rate.yaw, rate.yaw_rate, rate.sideslip].map(|rate| rate.eps)
 }
