@@ -299,7 +299,7 @@ impl Request {
     }
 }
 
-/// Whether there is a null in it.
+/// Whether a JSON value is null, or holds a null.
 pub fn has_null(value: &Value) -> bool {
     match value {
         Value::Null => true,

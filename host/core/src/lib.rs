@@ -11,7 +11,7 @@ pub mod config;
 mod explain {
     pub mod certificate;
     pub mod commissioned;
-    pub mod diagnosis;
+    pub(crate) mod diagnosis;
     pub mod feasibility;
     pub mod reasons;
     pub mod top_view;
@@ -39,7 +39,8 @@ mod run {
 
 pub use config::{Config, ConfigError, record_meta, restart_keys};
 pub use controller::pose_event;
-pub use explain::{certificate, commissioned, diagnosis, feasibility, reasons, top_view};
+pub(crate) use explain::diagnosis;
+pub use explain::{certificate, commissioned, feasibility, reasons, top_view};
 pub use host::{Host, HostOptions, VirtualHost};
 pub use run::proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
 pub use run::report::{LineCounters, Report, link_phase, pilot_event};

@@ -59,13 +59,15 @@ impl StandardTopic {
 
     /// The name of its messages' type, such as `nav_msgs/msg/Odometry`.
     pub fn schema_name(self) -> String {
-        self.message().0.replace('/', "/msg/")
+        let (name, _) = self.message();
+        name.replace('/', "/msg/")
     }
 
     /// The definition of its messages' type, with all messages within it.
     pub fn schema_text(self) -> String {
         let mut definition = Definition::default();
-        self.message().1(&mut definition);
+        let (_, define) = self.message();
+        define(&mut definition);
         definition.finish()
     }
 

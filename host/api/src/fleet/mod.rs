@@ -53,60 +53,6 @@ pub struct FleetCar {
 #[error("{0}")]
 pub struct FleetFileError(String);
 
-#[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test may fail")]
-mod tests {
-    use super::*;
-
-    fn read(text: &str) -> Result<Fleet, String> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("fleet.toml");
-        fs::write(&path, text).unwrap();
-        Fleet::read(&path).map_err(|error| error.to_string())
-    }
-
-    #[test]
-    fn a_car_has_the_socket_of_its_service_or_another_one() {
-        let fleet =
-            read("[[car]]\nname = \"car1\"\n[[car]]\nname = \"two\"\nsocket = \"/tmp/two.sock\"\n")
-                .unwrap();
-        let sockets: Vec<_> = fleet.cars.iter().map(FleetCar::socket).collect();
-        let expected = ["/run/singletrackd-car1/control.sock", "/tmp/two.sock"];
-        assert_eq!(sockets, expected.map(PathBuf::from));
-    }
-
-    #[test]
-    fn what_is_wrong_is_named_with_what_to_write() {
-        for (text, named) in [
-            ("[[car]]\nname = \"a b\"\n", "\"a b\""),
-            (
-                "[[car]]\nname = \"a\"\n[[car]]\nname = \"a\"\n",
-                "two cars have the name a",
-            ),
-            ("[[car]]\nnane = \"a\"\n", "unknown field `nane`"),
-            (
-                "[[car]]\nname = \"a\"\nnumber = 1\n[[car]]\nname = \"b\"\nnumber = 1\n",
-                "two cars have the number 1",
-            ),
-            (
-                "[[car]]\nname = \"a\"\nbody = \"x\"\n[[car]]\nname = \"b\"\nbody = \"x\"\n",
-                "two cars have the body x",
-            ),
-            ("", "[[car]]"),
-            (
-                "[[car]]\nname = \"a\"\nsocket = \"/s\"\n[[car]]\nname = \"b\"\nsocket = \"/s\"\n",
-                "two cars have the socket /s",
-            ),
-        ] {
-            let error = read(text).unwrap_err();
-            assert!(
-                error.contains("fleet.toml: ") && error.contains(named),
-                "{error}"
-            );
-        }
-    }
-}
-
 /// Cars did not obey: a line for each.
 #[derive(Debug, thiserror::Error)]
 #[error("{}", .0.join("\n"))]
@@ -263,5 +209,59 @@ impl FleetCar {
 
     fn failure(&self, error: &ClientError) -> String {
         format!("{}: {error}", self.name)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Fleet, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("fleet.toml");
+        fs::write(&path, text).unwrap();
+        Fleet::read(&path).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_car_has_the_socket_of_its_service_or_another_one() {
+        let fleet =
+            read("[[car]]\nname = \"car1\"\n[[car]]\nname = \"two\"\nsocket = \"/tmp/two.sock\"\n")
+                .unwrap();
+        let sockets: Vec<_> = fleet.cars.iter().map(FleetCar::socket).collect();
+        let expected = ["/run/singletrackd-car1/control.sock", "/tmp/two.sock"];
+        assert_eq!(sockets, expected.map(PathBuf::from));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_what_to_write() {
+        for (text, named) in [
+            ("[[car]]\nname = \"a b\"\n", "\"a b\""),
+            (
+                "[[car]]\nname = \"a\"\n[[car]]\nname = \"a\"\n",
+                "two cars have the name a",
+            ),
+            ("[[car]]\nnane = \"a\"\n", "unknown field `nane`"),
+            (
+                "[[car]]\nname = \"a\"\nnumber = 1\n[[car]]\nname = \"b\"\nnumber = 1\n",
+                "two cars have the number 1",
+            ),
+            (
+                "[[car]]\nname = \"a\"\nbody = \"x\"\n[[car]]\nname = \"b\"\nbody = \"x\"\n",
+                "two cars have the body x",
+            ),
+            ("", "[[car]]"),
+            (
+                "[[car]]\nname = \"a\"\nsocket = \"/s\"\n[[car]]\nname = \"b\"\nsocket = \"/s\"\n",
+                "two cars have the socket /s",
+            ),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(
+                error.contains("fleet.toml: ") && error.contains(named),
+                "{error}"
+            );
+        }
     }
 }

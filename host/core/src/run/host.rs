@@ -126,7 +126,9 @@ impl<L: Line> Host<L> {
         let (observations_in, observations) = RingBuffer::new(OBSERVATIONS);
         let (neighbours_in, neighbours) = RingBuffer::new(NEIGHBOURS);
         let others = &config.neighbours;
-        let feed = (others.enabled).then(|| NeighbourFeed::new(others, neighbours_in));
+        let feed = others
+            .enabled
+            .then(|| NeighbourFeed::new(others, neighbours_in));
         let (requests_in, requests) = RingBuffer::new(REQUESTS);
         let (setpoints_in, setpoints) = setpoint_slot();
         let (jogs_in, jogs) = slot();

@@ -1,6 +1,6 @@
 //! What a drive says about the calibration, from the records of its ticks.
 
-use serde_json::Value as Json;
+use serde_json::{Value as Json, json};
 use singletrack_api::Correction;
 use singletrack_control::{
     Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter,
@@ -167,10 +167,11 @@ pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Co
             .find(|estimate| estimate.parameter == parameter && estimate.is_off())
             .map(|estimate| estimate.value)
     };
-    // No path of a configuration that was read is not UTF-8.
-    let Ok(written) = serde_json::to_value(config) else {
-        return Vec::new();
-    };
+    let written = json!({
+        "board": config.board,
+        "limits": config.limits,
+        "motion_capture": config.motion_capture,
+    });
     let mut corrections = Vec::new();
     let mut correct = |key: &str, value: Json| {
         let configured = key.split('.').fold(&written, |at, name| &at[name]);

@@ -142,7 +142,10 @@ impl Report {
         match self {
             Self::Telemetry(record) => Some(Entry::Telemetry(record)),
             Self::Status(record) => Some(Entry::Status(record)),
-            _ => None,
+            Self::Link { .. }
+            | Self::Counters(_)
+            | Self::Proved { .. }
+            | Self::Disproved { .. } => None,
         }
     }
 

@@ -80,8 +80,10 @@ pub(super) async fn begin(
         let stand = stand(&snapshot);
         let tuned = snapshot.output().and_then(|output| output.tuned);
         let refused = |code| move |why: String| cannot(code, &why);
-        let commissioned = judged.commissioned.refusal(&config);
-        let refusal = commissioned.filter(|_| !request.uncalibrated);
+        let refusal = match request.uncalibrated {
+            true => None,
+            false => judged.commissioned.refusal(&config),
+        };
         let refusal = refusal.map(refused(Code::NotCommissioned));
         let uncertified = || certificate::refusal(&config).map(refused(Code::File));
         let refusal = refusal.or_else(uncertified).or_else(|| {

@@ -31,7 +31,8 @@ impl SetpointStream {
         command: &SetpointCommand,
     ) -> Option<Answer> {
         let timeout = daemon.reconfigurer.published().setpoint_timeout();
-        // Held until it is passed on, so that the newest one is also the last one in the slot.
+        // Held until it is passed on, so that the newest one is also the last one in the slot. It is
+        // replaced as a whole: a panic leaves none that is half new.
         let mut newest = daemon
             .newest_setpoint
             .lock()

@@ -14,7 +14,7 @@ const WARN: Byte = Byte(1);
 const ERROR: Byte = Byte(2);
 const STALE: Byte = Byte(3);
 
-/// What each of these is a part of.
+/// The `hardware_id` of every status.
 const HARDWARE: &str = "singletrack";
 
 /// The latest states.

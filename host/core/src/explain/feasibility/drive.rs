@@ -267,10 +267,12 @@ impl Car {
             applied: self.applied,
             period: self.period,
         });
-        // A governed reference waits, and the car for it.
-        let waits = self.governor.is_some();
         let ahead = Ahead {
-            overtaken: reference.overtaken_by(&point).filter(|_| waits),
+            // A governed reference waits, and the car for it.
+            overtaken: match self.governor {
+                Some(_) => reference.overtaken_by(&point),
+                None => None,
+            },
             lead: None,
         };
         self.law
