@@ -67,7 +67,11 @@ fn note(event: &SessionEvent) -> Option<String> {
             "poses come over TCP: none arrive over UDP, which a firewall closes".into()
         }
         SessionEvent::TransportMismatch { server_multicast } => {
-            let sent = ["unicast", "multicast"][usize::from(*server_multicast)];
+            let sent = if *server_multicast {
+                "multicast"
+            } else {
+                "unicast"
+            };
             format!("the server sends {sent}: set transport to it")
         }
         SessionEvent::DefinitionsUnreadable(error) => {

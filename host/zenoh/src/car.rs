@@ -41,10 +41,10 @@ pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> 
     let keys = Keys::of(&car.name)?;
     let session = join(config, &car.router)?;
     let liveliness = session.liveliness();
-    let me = keys.key("server", &session.zid().to_string());
+    let me = keys.server(&session.zid().to_string());
     let _served = liveliness.declare_token(&me).wait()?;
     // After this one is declared: of two that start at once, one sees the other.
-    for reply in liveliness.get(keys.key("server", "*")).wait()? {
+    for reply in liveliness.get(keys.server("*")).wait()? {
         if reply.result().is_ok_and(|it| it.key_expr().as_str() != me) {
             return Err(ZenohError::Other(format!(
                 "another singletrack-zenoh serves a car with the name {} at this router: give each \
@@ -53,7 +53,7 @@ pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> 
             )));
         }
     }
-    let clients = liveliness.declare_subscriber(keys.key("client", "*"));
+    let clients = liveliness.declare_subscriber(keys.client("*"));
     let clients = clients.history(true).wait()?;
     tracing::info!(car = car.name, socket = %car.socket.display(), "serving");
     let mut open = HashMap::new();
@@ -82,12 +82,12 @@ pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> 
 /// Connects a client to the daemon, and returns what cuts it off when the client is gone.
 fn connect(session: &Session, keys: &Keys, id: &str, socket: &Path) -> zenoh::Result<Cut> {
     let stream = singletrack_api::connect(socket)?;
-    let (down, up) = (keys.key("down", id), keys.key("up", id));
+    let (down, up) = (keys.down(id), keys.up(id));
     let connection = Connection::declare(session, stream, down, up)?;
     let cut = connection.cut();
     // The client begins when it sees this, and all is declared.
     let liveliness = session.liveliness();
-    let token = liveliness.declare_token(keys.key("daemon", id)).wait()?;
+    let token = liveliness.declare_token(keys.daemon(id)).wait()?;
     thread::Builder::new().spawn(move || {
         if let Err(error) = connection.carry() {
             tracing::debug!("a connection ended: {error}");

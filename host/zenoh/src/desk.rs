@@ -103,18 +103,18 @@ fn accept(session: &Session, keys: &Keys, listener: &UnixListener) {
 /// Connects a program to the daemon of a car until one of them ends.
 fn connect(session: &Session, keys: &Keys, id: &str, stream: UnixStream) -> zenoh::Result<()> {
     let (heard, daemon) = sync_channel(1);
-    let (up, down) = (keys.key("up", id), keys.key("down", id));
+    let (up, down) = (keys.up(id), keys.down(id));
     let connection = Connection::declare(session, stream, up, down)?;
     let (cut, gone) = (connection.cut(), connection.cut());
     let liveliness = session.liveliness();
     let _daemon = liveliness
-        .declare_subscriber(keys.key("daemon", id))
+        .declare_subscriber(keys.daemon(id))
         .callback(move |change: Sample| match change.kind() {
             SampleKind::Put => drop(heard.try_send(())),
             SampleKind::Delete => gone.off(),
         })
         .wait()?;
-    let _client = liveliness.declare_token(keys.key("client", id)).wait()?;
+    let _client = liveliness.declare_token(keys.client(id)).wait()?;
     if daemon.recv_timeout(PATIENCE).is_err() {
         cut.off();
         return Err("the daemon of the car is not reached".into());

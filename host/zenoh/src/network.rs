@@ -120,12 +120,29 @@ impl Keys {
         Ok(Self(format!("singletrack/{name}")))
     }
 
-    /// The key of a connection, or of a process, by what it says: `server` is alive while a process serves
-    /// the car, `client` while the client of a connection is connected, and `daemon` while the daemon is
-    /// connected to a client; `up` carries what the client of a connection sends, and `down` what the daemon
-    /// sends to it.
-    pub(crate) fn key(&self, what: &str, id: &str) -> String {
-        format!("{}/{what}/{id}", self.0)
+    /// The key that is alive while a process serves the car.
+    pub(crate) fn server(&self, process: &str) -> String {
+        format!("{}/server/{process}", self.0)
+    }
+
+    /// The key that is alive while the client of a connection is connected.
+    pub(crate) fn client(&self, connection: &str) -> String {
+        format!("{}/client/{connection}", self.0)
+    }
+
+    /// The key that is alive while the daemon is connected to a client.
+    pub(crate) fn daemon(&self, connection: &str) -> String {
+        format!("{}/daemon/{connection}", self.0)
+    }
+
+    /// The key of what the client of a connection sends.
+    pub(crate) fn up(&self, connection: &str) -> String {
+        format!("{}/up/{connection}", self.0)
+    }
+
+    /// The key of what the daemon sends to the client of a connection.
+    pub(crate) fn down(&self, connection: &str) -> String {
+        format!("{}/down/{connection}", self.0)
     }
 }
 
@@ -141,7 +158,7 @@ mod tests {
             assert!(error.contains(&format!("{name:?}")), "{error}");
         }
         let keys = Keys::of("car-1_a").unwrap();
-        assert_eq!(keys.key("up", "7"), "singletrack/car-1_a/up/7");
+        assert_eq!(keys.up("7"), "singletrack/car-1_a/up/7");
     }
 
     #[test]

@@ -201,19 +201,24 @@ impl Batch {
         let actions: Vec<[f64; 2]> = rows
             .filter_map(|row| Some([*row.first()?, *row.get(1)?]))
             .collect();
-        let (given, needed) = (actions.len(), self.cars()?.instances.len());
-        if given != needed {
-            return Err(refuse(format!(
-                "the actions have {given} rows of two numbers: {needed} are needed"
-            )));
-        }
-        self.for_each(py, |task, index, instance| {
-            task.step(instance, actions.get(index).copied().unwrap_or_default())
+        py.detach(|| {
+            let mut cars = self.cars()?;
+            let (given, needed) = (actions.len(), cars.instances.len());
+            if given != needed {
+                return Err(refuse(format!(
+                    "the actions have {given} rows of two numbers: {needed} are needed"
+                )));
+            }
+            let step = |task: &Task, index: usize, instance: &mut Instance| {
+                task.step(instance, actions.get(index).copied().unwrap_or_default())
+            };
+            cars.for_each(step).map_err(refuse)
         })?;
         self.arrays(py)
     }
 
-    /// Steps the only car, without arrays for many: as [`arrays`](Self::arrays), and the reason.
+    /// Steps the only car: `(state, observation, reward, terminated, truncated, information, reason)`,
+    /// without arrays for many.
     fn step_one<'py>(
         &self,
         py: Python<'py>,
