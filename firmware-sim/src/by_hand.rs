@@ -65,8 +65,11 @@ impl FromStr for HandCommand {
 
 /// Whether a word is the first of two.
 fn is(word: &str, [yes, no]: [&str; 2]) -> Result<bool, UnknownHandCommand> {
-    let is_known = word == yes || word == no;
-    is_known.then_some(word == yes).ok_or(UnknownHandCommand)
+    match word {
+        word if word == yes => Ok(true),
+        word if word == no => Ok(false),
+        _ => Err(UnknownHandCommand),
+    }
 }
 
 fn motion(name: &str, numbers: &[f64]) -> Option<HandMotion> {

@@ -95,8 +95,10 @@ pub fn parse_duration_us(text: &str) -> Result<u64, LossPatternError> {
     }
     let value = number.parse::<f64>().map_err(|_| error())? * microseconds;
     // A year exceeds any run, and is exact in f64.
-    let is_exact = value <= 3.2e13;
-    is_exact.then_some((value + 0.5) as u64).ok_or_else(error)
+    if value <= 3.2e13 {
+        return Ok((value + 0.5) as u64);
+    }
+    Err(error())
 }
 
 /// Formats a duration in the largest unit without a fraction.

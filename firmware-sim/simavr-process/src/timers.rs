@@ -280,7 +280,8 @@ impl Watchdog {
             self.open_until = Some(now + CHANGE);
         }
         let kept = self.control | value & WDE;
-        let settings = if open { value } else { kept } & (WDE | WDP3 | 7);
+        let chosen = if open { value } else { kept };
+        let settings = chosen & (WDE | WDP3 | 7);
         self.control = flag | value & WDIE | settings;
         if !ran {
             self.counts_since = now;

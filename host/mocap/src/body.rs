@@ -112,9 +112,14 @@ impl BodyReading {
     }
 
     /// A pose in the server's axes.
-    fn read(&self, position_m: [f64; 3], [a, b, c, w]: [f64; 4], mean_error_m: f64) -> BodyState {
+    fn read(
+        &self,
+        position_m: [f64; 3],
+        [qx, qy, qz, w]: [f64; 4],
+        mean_error_m: f64,
+    ) -> BodyState {
         let position_m = self.up_axis.to_z_up(position_m);
-        let vector = self.up_axis.to_z_up([a, b, c]);
+        let vector = self.up_axis.to_z_up([qx, qy, qz]);
         let finite = position_m.iter().chain(&vector).all(|x| x.is_finite());
         if !(finite && w.is_finite() && mean_error_m.is_finite()) {
             return BodyState::Invalid(InvalidBody::NotFinite);

@@ -42,10 +42,10 @@ impl CaptureClock {
             windows: None,
         };
         let (network_ns, latency_ns) = (timing.assumed_network_delay_ns, timing.assumed_latency_ns);
-        let transmit = CaptureTimeSource::MidExposureMinDelay;
+        let by_delay = CaptureTimeSource::MidExposureMinDelay;
         Self {
             echo: ns_per_tick.map(|ns_per_tick| EchoClock::new(ns_per_tick, max_skew)),
-            transmit: ns_per_tick.map(|ns_per_tick| least(ns_per_tick, network_ns, transmit)),
+            transmit: ns_per_tick.map(|ns_per_tick| least(ns_per_tick, network_ns, by_delay)),
             timestamp: least(1.0, latency_ns, CaptureTimeSource::FrameTimestamp),
         }
     }

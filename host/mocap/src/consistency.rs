@@ -51,18 +51,23 @@ pub(crate) struct Sequence {
 impl Sequence {
     pub(crate) fn place(&mut self, number: i32, clock: u64) -> Order {
         let mark = Mark { number, clock };
-        let ahead = self.newest.map_or(1, |newest| mark.ahead_of(newest));
-        let newest_clock = self.newest.map_or(0, |newest| newest.clock);
-        let order = if ahead == 0 {
-            return Order::Duplicate;
-        } else if ahead > 0 && clock >= newest_clock {
-            let lost = u64::from(ahead.unsigned_abs()) - 1;
-            Order::Newest { lost }
-        } else if ahead < 0 && clock > newest_clock {
-            Order::Renumbered
-        } else {
-            return self.suspect(number, clock);
+        let Some(newest) = self.newest else {
+            return self.accept(mark, Order::Newest { lost: 0 });
         };
+        let ahead = mark.ahead_of(newest);
+        if ahead == 0 {
+            Order::Duplicate
+        } else if ahead > 0 && clock >= newest.clock {
+            let lost = u64::from(ahead.unsigned_abs()) - 1;
+            self.accept(mark, Order::Newest { lost })
+        } else if ahead < 0 && clock > newest.clock {
+            self.accept(mark, Order::Renumbered)
+        } else {
+            self.suspect(number, clock)
+        }
+    }
+
+    const fn accept(&mut self, mark: Mark, order: Order) -> Order {
         self.newest = Some(mark);
         self.suspect = None;
         self.suspects = 0;

@@ -82,9 +82,10 @@ impl BitstreamVersion {
     /// Outside [`OLDEST`](Self::OLDEST) to [`NEWEST`](Self::NEWEST).
     pub fn new(major: u8, minor: u8) -> Result<Self, UnsupportedVersion> {
         let version = Self { major, minor };
-        let is_read = (Self::OLDEST..=Self::NEWEST).contains(&version);
-        let unsupported = UnsupportedVersion { major, minor };
-        is_read.then_some(version).ok_or(unsupported)
+        if (Self::OLDEST..=Self::NEWEST).contains(&version) {
+            return Ok(version);
+        }
+        Err(UnsupportedVersion { major, minor })
     }
 
     /// The version in the four bytes `major, minor, build, revision` of the wire.

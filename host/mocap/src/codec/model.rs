@@ -91,10 +91,9 @@ impl<'a> RigidBodyDefinitions<'a> {
             if type_id != dataset::RIGID_BODY {
                 return Ok(None);
             }
-            let mut read = read_rigid_body(&mut body, version);
-            if let Err(error) = body.finish("the rigid body definition") {
-                read = read.and(Err(error));
-            }
+            let read = read_rigid_body(&mut body, version);
+            let whole = |read| body.finish("the rigid body definition").map(|()| read);
+            let read = read.and_then(whole);
             // One that nobody needs must not take the others along.
             if let Err(error) = read {
                 self.unreadable.get_or_insert(error);

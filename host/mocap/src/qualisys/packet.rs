@@ -248,7 +248,7 @@ impl Frame<'_> {
         self.bodies.chunks_exact(self.body_len).map(|bytes| {
             let mut rest = bytes;
             let mut next = || {
-                // Only residuals can lack.
+                // Only residuals can be missing.
                 let (number, after) = self.order.u32(rest).unwrap_or_default();
                 rest = after;
                 f32::from_bits(number)

@@ -158,7 +158,7 @@ impl PoseSource for Session {
     }
 
     fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
-        let has_asked = self.schedule.bitstream_attempts >= BITSTREAM_ATTEMPTS;
+        let has_given_up = self.schedule.bitstream_attempts >= BITSTREAM_ATTEMPTS;
         match self.common.phase {
             Phase::Closed | Phase::Open | Phase::Foreign => None,
             Phase::Closing => {
@@ -175,7 +175,7 @@ impl PoseSource for Session {
                     requested_bitstream: None,
                 }))
             }
-            Phase::Negotiating(_) if has_asked => None,
+            Phase::Negotiating(_) if has_given_up => None,
             Phase::Negotiating(requested) => {
                 self.schedule.bitstream_attempts += 1;
                 self.try_later(now_ns);

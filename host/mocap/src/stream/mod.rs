@@ -231,8 +231,10 @@ impl Link {
     /// When the frame was captured: never after it arrived.
     fn capture(&mut self, stamp_us: u64, now_ns: u64) -> Option<CaptureTime> {
         let capture = self.clock.capture(stamp_us, now_ns)?;
-        let is_known = capture.uncertainty_ns <= MAX_UNCERTAINTY_NS;
-        self.common.at_arrival(is_known.then_some(capture)?, now_ns)
+        if capture.uncertainty_ns > MAX_UNCERTAINTY_NS {
+            return None;
+        }
+        self.common.at_arrival(capture, now_ns)
     }
 
     /// Lets go of the stream; it is wanted again after `pause_ns`.

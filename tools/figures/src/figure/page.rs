@@ -148,10 +148,10 @@ pub(super) enum Key {
 
 /// The legend of all panels together. A single kind of line needs none: the axis
 /// names it.
-pub(super) fn entries(figure: &Figure) -> Vec<Entry<'_>> {
+pub(super) fn entries<'a>(figure: &'a Figure) -> Vec<Entry<'a>> {
     let mut entries = Vec::new();
-    let mut add = |key, name| {
-        if !str::is_empty(name) && !entries.contains(&(key, name)) {
+    let mut add = |key, name: &'a str| {
+        if !name.is_empty() && !entries.contains(&(key, name)) {
             entries.push((key, name));
         }
     };

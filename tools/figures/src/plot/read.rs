@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use singletrack_record::{Ending, Meta, Reader, RecordError, Topic};
-
 use toml::Table;
 
 use super::drive::{Drive, Recording};

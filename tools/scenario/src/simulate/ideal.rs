@@ -38,7 +38,7 @@ enum Law {
     VelocityPoint(VelocityPointLaw),
 }
 
-/// The command of a law: speed, and steering rate or angle.
+/// The command of a law: speed, and steering rate or angle; with an angle the rate is 0.
 #[derive(Clone, Copy)]
 struct Command {
     speed: f64,

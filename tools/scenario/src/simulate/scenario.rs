@@ -430,10 +430,12 @@ impl Scenario {
     }
 
     pub(crate) fn is_lost(&self, tick: u64) -> bool {
-        let mut losses = self.marker_loss.iter();
-        losses.any(|loss| {
-            let mut begun = loss.beginnings(tick);
-            begun.any(|first| tick - first < loss.ticks)
+        self.marker_loss.iter().any(|loss| {
+            let since = tick.checked_sub(loss.first_tick);
+            since.is_some_and(|since| match loss.repeat_ticks {
+                0 => since < loss.ticks,
+                repeat => since % repeat < loss.ticks,
+            })
         })
     }
 }

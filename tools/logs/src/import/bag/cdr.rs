@@ -25,7 +25,7 @@ pub(super) enum Fault {
         "has {0} bytes more than its type: the bag has another version of the type; convert it with `ros2 bag convert` to MCAP, which holds the definitions"
     )]
     Long(usize),
-    /// A list, by its name, has too few elements.
+    /// A list, by its name, has too few elements: their number, and the index that is wanted.
     #[error("has {1} elements in {0}, and the map names number {2}, counted from 0")]
     Element(String, usize, u32),
 }

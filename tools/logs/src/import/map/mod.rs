@@ -376,7 +376,8 @@ pub struct TimeSection {
     pub unit: Option<TimeUnit>,
     /// Whether it counts from the start of 1970, UTC. Otherwise its zero has no meaning.
     pub unix: Option<bool>,
-    /// The longest time between two rows that is not taken for an error of the log, in s.
+    /// The longest time between two rows that is not taken for an error of the log, in s; 10 if it is
+    /// not given.
     pub longest_gap_s: Option<f64>,
 }
 
