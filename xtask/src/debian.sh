@@ -18,7 +18,8 @@ END
 export SOURCE=$PWD DEB_RULES_REQUIRES_ROOT=no DEB_BUILD_PROFILES=${6-}
 # There is nothing to test.
 export DEB_BUILD_OPTIONS=nocheck
+export COMPRESSION=6
 # A third larger, in an eighth of the time.
-[ -z "${6-}" ] || export COMPRESSION=1
+[ -z "${6-}" ] || COMPRESSION=1
 cd "$1"
 exec dpkg-architecture --host-arch "$3" --force --command debian/rules binary inspect

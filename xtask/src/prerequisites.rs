@@ -14,14 +14,20 @@ use crate::{
     workspace::{cargo, cargo_here, root, target},
 };
 
-/// The optional parts of the checks, with their prerequisites in `prerequisites.sh`: the Arduino's image
-/// and the simulated Arduino that runs it; the build for the Odroid, emulated; the Python readers of
-/// records; the Python package; ROS 2 in Python; cars on other computers by way of a zenoh router; Octave,
-/// for MATLAB's language; the page in a browser; the laboratory in a browser; campaigns on a cluster;
-/// systemd's verification of the service; and the Debian package.
-#[rustfmt::skip]
+/// The optional parts of the checks, with their prerequisites in `prerequisites.sh`.
 pub(crate) const PARTS: [&str; 12] = [
-    "uno", "odroid", "readers", "python", "ros", "zenoh", "octave", "browser", "web", "slurm", "units",
+    // The Arduino's image, and the simulated Arduino that runs it.
+    "uno",     // The build for the Odroid, emulated.
+    "odroid",  // Readers of records in Python.
+    "readers", // The Python package.
+    "python",  // ROS 2 in Python.
+    "ros",     // Cars on other computers by way of a zenoh router.
+    "zenoh",   // Octave, for MATLAB's language.
+    "octave",  // The page in a browser.
+    "browser", // The laboratory in a browser.
+    "web",     // Campaigns on a cluster.
+    "slurm",   // systemd's verification of the service.
+    "units",   // The Debian package.
     "debian",
 ];
 

@@ -184,7 +184,8 @@ pub(crate) fn check_published() -> Result {
     // waits for the registry: the build has downloaded what they need.
     let mut package = cargo("package --quiet --offline --allow-dirty");
     // A packed package is a workspace of its own, which has the profile of this one here. Dependencies
-    // are built once for all of them, and kept; what runs while compiling is that of packages that are built alone.
+    // are built once for all of them, and kept; what runs while compiling is that of the check of
+    // packages alone.
     let settings = [
         "codegen-units=2",
         "incremental=false",

@@ -10,7 +10,7 @@ mdbook=0.5.4
 case $1 in
 # The site, with the laboratory in the folder ARGUMENT.
 book)
-    env -u CARGO_BUILD_TARGET -u CARGO_TARGET_DIR "${CARGO:-cargo}" install --quiet --locked \
+    env -u CARGO_BUILD_TARGET "${CARGO:-cargo}" install --quiet --locked \
         --no-default-features --features search --version "$mdbook" mdbook --root "$target/tools"
     "$target/tools/bin/mdbook" build docs --dest-dir "$target/book"
     cp --recursive --no-target-directory "$5" "$target/book/laboratory"

@@ -160,15 +160,13 @@ const BUDGETS: [(&str, f64, &str); 3] = [
 /// Refuses symbols that are known to fail on an AVR.
 fn forbidden(symbols: &str) -> Result<(), String> {
     let lines = symbols.lines();
-    let names = || {
-        lines
-            .clone()
-            .filter_map(|line| line.split_whitespace().last())
-    };
-    if !names().any(|name| name.starts_with("__vector_")) {
+    let names: Vec<&str> = lines
+        .filter_map(|line| line.split_whitespace().last())
+        .collect();
+    if !names.iter().any(|name| name.starts_with("__vector_")) {
         return Err("no interrupt among its symbols, so it can't be checked".into());
     }
-    for name in names() {
+    for name in names {
         if ["__mulosi4", "__mulodi4", "__muloti4"].contains(&name) {
             return Err(format!(
                 "it contains {name}, which is miscompiled on AVR: the caller has 2 bytes on its stack \

@@ -46,8 +46,7 @@ struct Part {
 const LEAD_NS: u64 = 1_000_000_000;
 
 /// Reads the drive with this number, from 1, or the longest. `config` replaces the configuration that it
-/// was driven with. `note` is told the record, and what a
-/// reader of the result has to know.
+/// was driven with. `note` is told the record, and what a reader of the result has to know.
 ///
 /// # Errors
 ///

@@ -54,7 +54,7 @@ pub(super) struct Car<'a> {
 }
 
 impl<'a> Car<'a> {
-    /// Lets the first tick pass.
+    /// Lets ticks pass until the time is known.
     fn begin(bench: &'a mut dyn Bench) -> Result<Self, Trouble> {
         let mut car = Self {
             bench,

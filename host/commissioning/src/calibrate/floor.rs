@@ -396,6 +396,9 @@ pub(super) fn drive(
 
 /// Stops the car, and waits until it stands and can be armed again.
 fn stop(bench: &mut dyn Bench, drive: &mut Drive) -> Result<(), Interrupted> {
+    use BoardMode::{Armed, Driving, PoweringUp};
+    use Mode::{Disconnected, Fault, Idle, Ready};
+
     let _ = bench.disarm();
     let mut observed = Vec::new();
     for _ in 0..600 {
@@ -403,8 +406,6 @@ fn stop(bench: &mut dyn Bench, drive: &mut Drive) -> Result<(), Interrupted> {
         drive.readings.take(&mut observed);
         let mode = drive.readings.ticks.last().map(|tick| tick.mode);
         let of_board = drive.readings.boards.last().map(|board| board.mode);
-        use BoardMode::{Armed, Driving, PoweringUp};
-        use Mode::{Disconnected, Fault, Idle, Ready};
         if matches!(mode, Some(Idle | Ready | Disconnected | Fault))
             && !matches!(of_board, Some(Armed | Driving | PoweringUp))
         {

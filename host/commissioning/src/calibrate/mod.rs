@@ -59,6 +59,8 @@ fn cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if bench.ask(&Question::begin("cover-markers", request))? == Answer::Skip {
         return Ok(Finding::new(Verdict::Skipped, "not done", ""));
     }
+    use Reason::{BlindTooFar, PoseHeight, PoseImplausible, PoseTooOld};
+
     let stands = floor::ready(bench)?;
     let figure = Figure::find(bench, &stands)?;
     let drive = floor::drive(bench, SECONDS, "cover the markers now", &|time| {
@@ -71,7 +73,6 @@ fn cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         return Ok(Finding::warning(found, fix));
     };
     // Markers that are covered one after the other give wrong poses first.
-    use Reason::{BlindTooFar, PoseHeight, PoseImplausible, PoseTooOld};
     let by_markers = [PoseTooOld, BlindTooFar, PoseImplausible, PoseHeight];
     if !by_markers.map(Reason::name).contains(&reason) {
         return Err(stopped("stopped before its markers were covered", reason));

@@ -88,7 +88,8 @@ impl Readings {
         let yaws = self.yaws();
         let mut rest = &yaws[..];
         while let [[start, _], ..] = rest {
-            let length = rest.partition_point(|[time, _]| *time < start + WINDOW);
+            let within = |[time, _]: &&[f64; 2]| *time < start + WINDOW;
+            let length = rest.iter().take_while(within).count();
             let (window, after) = rest.split_at(length.max(1));
             rest = after;
             if (length as f64) < 50.0 * WINDOW {

@@ -5,7 +5,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::Result;
 use clap::Args;
 use serde::Deserialize;
 use serde_json::Value;
@@ -13,6 +12,8 @@ use singletrack_api::{Gain, Request, Tune, Tuning, ask};
 use singletrack_core::{config::ReferenceSection, feasibility::Severity};
 use singletrack_figures::output;
 use singletrack_settings::explain;
+
+use crate::Result;
 
 pub use crate::arguments::ControlArgs;
 

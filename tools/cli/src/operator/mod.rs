@@ -18,8 +18,9 @@ pub(crate) mod terminal;
 
 use std::process::ExitCode;
 
-use crate::Result;
 use clap::Subcommand;
+
+use crate::Result;
 
 /// One of these commands.
 #[derive(Subcommand)]

@@ -309,7 +309,7 @@ impl Moment {
             Self::Seconds(seconds) => Some((seconds * 1e9) as i64),
             Self::Wall(time) => {
                 let since_ns = time.as_nanosecond() - i128::from(start_wall_ns?);
-                Some(i64::try_from(since_ns).unwrap_or(i64::MAX))
+                Some(since_ns.clamp(i64::MIN.into(), i64::MAX.into()) as i64)
             }
         }
     }

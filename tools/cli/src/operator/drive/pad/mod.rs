@@ -83,11 +83,11 @@ pub enum PadRequest {
 
 /// Why a button has no effect: it was pressed from the beginning, or since the last drive.
 pub const RELEASE_FIRST: &str = "release both shoulder buttons first";
-/// Both buttons are pressed.
+/// The note that both buttons are pressed.
 pub const ONE_BUTTON: &str = "hold one shoulder button, not both";
-/// The sticks are not at their centre.
+/// The note that the sticks are not at their centre.
 pub const CENTRE_STICKS: &str = "let the sticks go to their centre first";
-/// The pad was silent.
+/// The note that the pad was silent.
 pub const SILENT: &str = "the pad was silent for too long";
 
 /// Dead zone of a stick, as a share of its way.
