@@ -131,7 +131,7 @@ impl Vehicle for Plant {
         let Actuation {
             speed, steering, ..
         } = self.actuation(command, &truth);
-        // As the pilot does it: the speed of the rear axle.
+        // The speed is that of the rear axle, as in the pilot.
         let rear_speed = speed * libm::cos(truth.sideslip);
         let steering = self.steering.commanded(steering);
         self.actuators

@@ -495,7 +495,7 @@ fn chosen(
             last = part;
         }
     }
-    // Of too many, every other one is dropped.
+    // Where there are too many levels, every other one is dropped.
     while chosen.len() > MOST_ISOLINES {
         let mut index = 0;
         chosen.retain(|_| {

@@ -174,7 +174,7 @@ impl Drive {
                         }
                         continue;
                     };
-                    // Of a timed drive, which the daemon does not report.
+                    // A timed drive is asked for its status: the daemon does not report its changes.
                     let Some(state) = status.state.filter(|_| armed.is_some()) else {
                         continue;
                     };

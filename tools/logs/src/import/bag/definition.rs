@@ -170,7 +170,7 @@ impl Definition {
 
     /// Whether more messages are nested in it than may be; a message within itself has no end.
     fn is_too_deep(&self) -> bool {
-        // The depth of each message, as far as it is known after so many rounds.
+        // Each round adds one level to the known depth of each message.
         let mut depths = vec![0; self.messages.len()];
         for _ in 0..=MAX_DEPTH {
             let below = |field: &Field| match field.kind {
