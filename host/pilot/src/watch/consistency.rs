@@ -1,7 +1,7 @@
 //! Consistency of poses, estimate and clock during every drive, and whether the estimated sideslip is
 //! one that a car on its tyres can have.
 
-use libm::{atan, atan2, copysign, fabs, sin, tan};
+use libm::{atan, atan2, fabs, sin, tan};
 use singletrack_control::{Estimate, EstimatorConfig, Limits, PoseSample, Time};
 
 use super::{WatchConfig, count, steps::Step};
@@ -81,53 +81,6 @@ impl SideslipWatch {
     /// Whether the sideslip is implausible.
     pub(crate) const fn is_exceeded(&self) -> bool {
         self.exceeded >= MEANS
-    }
-}
-
-/// Turn and steering, as sums over a way.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct SteeringWatch {
-    wanted: f64,
-    made: f64,
-    way: f64,
-    exceeded: u32,
-}
-
-/// The way of one comparison, m.
-const STEERED_WAY: f64 = 0.4;
-/// The turns may differ by this, rad: a bent course has lags, and a floor has bumps.
-const STEERED_MARGIN: f64 = 0.2;
-/// The number of comparisons in a row beyond the limit.
-const STEERED_TIMES: u32 = 2;
-
-impl SteeringWatch {
-    /// A step of a drive; `wheelbase` in m.
-    pub(crate) fn step(&mut self, step: &Step, wheelbase: f64, config: &WatchConfig) {
-        let way = step.rear.norm();
-        self.wanted += copysign(way, step.motor_way) * tan(step.steering) / wheelbase;
-        self.made += step.turn;
-        self.way += way;
-        // A NaN is no way that is too short, and exceeds the limit.
-        if self.way < STEERED_WAY {
-            return;
-        }
-        let allowed = STEERED_MARGIN + config.steering_ratio * fabs(self.wanted);
-        let fits = fabs(self.made - self.wanted) <= allowed;
-        count(&mut self.exceeded, !fits);
-        *self = Self {
-            exceeded: self.exceeded,
-            ..Self::default()
-        };
-    }
-
-    /// Whether the last comparison showed it.
-    pub(crate) const fn is_doubtful(&self) -> bool {
-        self.exceeded > 0
-    }
-
-    /// Whether the car turns otherwise than it is steered.
-    pub(crate) const fn is_exceeded(&self) -> bool {
-        self.exceeded >= STEERED_TIMES
     }
 }
 
@@ -216,7 +169,6 @@ impl SlideWatch {
 
 #[cfg(test)]
 mod tests {
-    use libm::atan;
     use singletrack_control::{Position, Time, VehicleParameters, direction};
 
     use super::*;
@@ -350,7 +302,6 @@ mod tests {
             ..slid(0.0)
         };
         assert_eq!(sideslip(lost), Some(2));
-        assert_eq!(steering(lost), Some(2));
     }
 
     #[test]
@@ -407,74 +358,6 @@ mod tests {
             let angle = if i % 2 == 0 { 0.5 } else { -0.5 };
             watch.step(&slid(angle), &WatchConfig::paper());
             assert!(!watch.is_exceeded());
-        }
-    }
-
-    const WHEELBASE: f64 = 0.25;
-
-    /// A step of an eighth of a metre whose steering wants a turn of 0.2 rad.
-    fn steered(turn: f64) -> Step {
-        Step {
-            rear: 0.125 * direction(0.7),
-            turn,
-            steering: atan(0.4),
-            ..slid(0.0)
-        }
-    }
-
-    /// The number of equal steps after which the turn differs from the steering.
-    fn steering(step: Step) -> Option<usize> {
-        let mut watch = SteeringWatch::default();
-        (1..=1_000).find(|_| {
-            watch.step(&step, WHEELBASE, &WatchConfig::paper());
-            watch.is_exceeded()
-        })
-    }
-
-    #[test]
-    fn a_car_that_turns_otherwise_than_steered_is_implausible_after_two_ways() {
-        // 4 steps want 0.8 rad, to within 0.2 rad and the half of it.
-        for (turn, steps) in [
-            (0.2, None),
-            (0.051, None),
-            (0.049, Some(8)),
-            (-0.2, Some(8)),
-            (0.349, None),
-            (0.351, Some(8)),
-            (f64::NAN, Some(8)),
-        ] {
-            assert_eq!(steering(steered(turn)), steps, "{turn}");
-            let reverse = Step {
-                motor_way: -0.01,
-                ..steered(-turn)
-            };
-            assert_eq!(steering(reverse), steps, "{turn} in reverse");
-        }
-    }
-
-    #[test]
-    fn a_fitting_way_and_a_reset_forget_the_turns() {
-        let mut watch = SteeringWatch::default();
-        let mut steer = |turn: f64, reset: bool| {
-            if reset {
-                watch = SteeringWatch::default();
-            }
-            for _ in 0..4 {
-                watch.step(&steered(turn), WHEELBASE, &WatchConfig::paper());
-            }
-            watch.is_exceeded()
-        };
-        for (turn, reset, exceeded) in [
-            (0.0, false, false),
-            (0.2, false, false),
-            (0.0, false, false),
-            (0.0, false, true),
-            (0.0, false, true),
-            (0.0, true, false),
-            (0.0, false, true),
-            (0.2, false, false),
-        ] {
-            assert_eq!(steer(turn, reset), exceeded);
         }
     }
 

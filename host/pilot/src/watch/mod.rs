@@ -9,6 +9,7 @@ mod imu;
 mod proving;
 mod roll_out;
 mod speed;
+mod steering;
 mod steps;
 mod stop;
 
@@ -16,14 +17,13 @@ use libm::{fabs, hypot};
 use singletrack_control::{InertialSample, Time};
 
 pub(crate) use attitude::{AttitudeWatch, PushWatch};
-pub(crate) use consistency::{
-    FrozenWatch, InnovationWatch, SideslipWatch, SlideWatch, SteeringWatch,
-};
+pub(crate) use consistency::{FrozenWatch, InnovationWatch, SideslipWatch, SlideWatch};
 pub use imu::ImuVerdict;
 pub(crate) use imu::{GyroWatch, ImuWatch, StartWatch};
 pub use proving::{FIRST_METRE, FirstMetre};
 pub(crate) use proving::{Proving, WAVE};
 pub(crate) use speed::SpeedWatch;
+pub(crate) use steering::SteeringWatch;
 pub(crate) use steps::Steps;
 pub(crate) use stop::{Speeds, StopLimits, StopWatch};
 

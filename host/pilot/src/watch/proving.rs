@@ -2,10 +2,10 @@
 
 use core::f64::consts::TAU;
 
-use libm::{atan2, copysign, fabs, sin, tan};
+use libm::{atan2, fabs, sin};
 use singletrack_control::Time;
 
-use super::{imu::Turns, roll_out::RollOut, steps::Step};
+use super::{imu::Turns, roll_out::RollOut, steering::SteeringFit, steps::Step};
 use crate::supervisor::Reason;
 
 /// What holds until every sensor has been compared with every other.
@@ -26,8 +26,6 @@ pub const FIRST_METRE: FirstMetre = FirstMetre {
     braking: 0.25,
 };
 
-/// Steering angles below this prove nothing, rad: trim and backlash.
-const LEAST_STEERING: f64 = 0.04;
 /// The span of the comparison of the gyro, s, and the least turn in it, rad: the cameras' yaw
 /// has noise.
 const GYRO_SPAN: f64 = 0.2;
@@ -102,9 +100,7 @@ pub(crate) struct Proving {
     last: Option<Time>,
     /// What contradicts, if anything does.
     pub(crate) found: Option<Reason>,
-    /// Turn that the steering should have made, without its signs, and that made with it.
-    wanted: f64,
-    made: f64,
+    steering: SteeringFit,
     turns: Turns,
     /// Way along and to the left of the yaw.
     along: f64,
@@ -145,29 +141,23 @@ impl Proving {
             self.across += step.across();
             self.motor_way += step.motor_way;
         }
-        if fabs(step.steering) > LEAST_STEERING {
-            let wanted = copysign(way, step.motor_way) * tan(step.steering) / wheelbase;
-            self.wanted += fabs(wanted);
-            self.made += copysign(1.0, wanted) * step.turn;
-        }
+        self.steering.step(step, wheelbase);
         self.turns.step(step, GYRO_SPAN, LEAST_TURN);
         self.found = self.found.or(self.contradiction(pulse_distance));
     }
 
     fn contradiction(&self, pulse_distance: f64) -> Option<Reason> {
-        let outside = |part: f64, of: f64, (low, high): (f64, f64)| {
-            let ratio = part / of;
-            // A NaN is outside.
-            !(low <= ratio && ratio <= high)
-        };
+        // A NaN is outside.
+        let outside = |ratio: f64, (low, high): (f64, f64)| !(low <= ratio && ratio <= high);
         // Gyro and cameras first: what they agree on is the turn of the car.
         let Turns { seen, felt, .. } = self.turns;
-        let differs = seen > SIZE_AFTER && outside(felt, seen, GYRO_RATIO);
+        let differs = seen > SIZE_AFTER && outside(felt / seen, GYRO_RATIO);
         let opposite = seen > SIGN_AFTER && felt < 0.3 * seen;
         if differs || opposite {
             return Some(Reason::GyroDiffers);
         }
-        if self.wanted > SIGN_AFTER && self.made < -0.3 * self.wanted {
+        let (wanted, made) = (self.steering.wanted, self.steering.gain());
+        if wanted > SIGN_AFTER && made < -0.3 {
             return Some(Reason::SteeringReversed);
         }
         let way = fabs(self.along) + fabs(self.across);
@@ -175,8 +165,8 @@ impl Proving {
         if (way > YAW_AFTER && angle > YAW_ERROR) || (way > CROSSWISE_AFTER && angle > 1.0) {
             return Some(Reason::BodyYawWrong);
         }
-        let differs = self.wanted > SIZE_AFTER && outside(self.made, self.wanted, STEERING_RATIO);
-        let is_off = self.wanted > PROVED_AFTER && outside(self.made, self.wanted, PROVED_RATIO);
+        let differs = wanted > SIZE_AFTER && outside(made, STEERING_RATIO);
+        let is_off = wanted > PROVED_AFTER && outside(made, PROVED_RATIO);
         if differs || is_off {
             return Some(Reason::SteeringDiffers);
         }
@@ -225,12 +215,12 @@ impl Proving {
             }
             Coast::Ahead | Coast::Over => {}
         }
-        if self.way < FIRST_METRE.way || self.wanted <= PROVED_AFTER {
+        if self.way < FIRST_METRE.way || self.steering.wanted <= PROVED_AFTER {
             tick.steering = FirstMetre::wave(self.way);
         }
         tick.passed = self.found.is_none()
             && self.way >= FIRST_METRE.way
-            && self.wanted > PROVED_AFTER
+            && self.steering.wanted > PROVED_AFTER
             && start_judged
             && matches!(self.coast, Coast::Over);
         tick
@@ -307,39 +297,6 @@ mod tests {
     }
 
     #[test]
-    fn the_turn_that_the_steering_should_make_has_the_sign_of_steering_and_motor() {
-        // 0.02 m at 0.2 rad.
-        let expected = 0.02 * tan(0.2) / 0.25;
-        for (motor_way, steering, sign) in [
-            (0.02, 0.2, 1.0),
-            (0.02, -0.2, -1.0),
-            (-0.02, 0.2, -1.0),
-            (-0.02, -0.2, 1.0),
-        ] {
-            let step = Step {
-                motor_way,
-                steering,
-                turn: 0.01,
-                ..motion(0.02, 0.0)
-            };
-            let proving = after(&[step, step]);
-            assert!(is_near(proving.wanted, 2.0 * expected), "{proving:?}");
-            assert!(is_near(proving.made, 0.02 * sign), "{proving:?}");
-        }
-    }
-
-    #[test]
-    fn a_steering_angle_of_trim_and_backlash_proves_nothing() {
-        let step = |steering| Step {
-            steering,
-            ..motion(0.02, 0.0)
-        };
-        assert_eq!(after(&[step(0.04), step(-0.04)]).wanted, 0.0);
-        assert!(after(&[step(0.041)]).wanted > 0.0);
-        assert!(after(&[step(-0.041)]).wanted > 0.0);
-    }
-
-    #[test]
     fn a_gyro_with_another_gain_or_sign_than_the_cameras_is_found() {
         for (seen, felt, differs) in [
             (0.17, 0.12, false),
@@ -380,8 +337,7 @@ mod tests {
             (0.31, 1.29 * 0.31 + 1e-9, Some(Reason::SteeringDiffers)),
         ] {
             let proving = Proving {
-                wanted,
-                made,
+                steering: SteeringFit::of(wanted, made),
                 ..Proving::default()
             };
             assert_eq!(proving.contradiction(PULSE), expected, "{wanted} {made}");
@@ -467,7 +423,7 @@ mod tests {
     fn driven(way: f64, wanted: f64, coast: Coast) -> Proving {
         Proving {
             way,
-            wanted,
+            steering: SteeringFit::of(wanted, wanted),
             coast,
             ..Proving::default()
         }
