@@ -265,7 +265,7 @@ mod thorough {
     fn the_cars_that_are_made_of_real_ones_logs_drive_too() {
         for (car, mass_kg, vibration) in [("dart", 1.58, 0.79), ("put", 5.1, 0.4)] {
             let folder = tempfile::tempdir().unwrap();
-            let output = demo(folder.path(), &["--for", "2s", "--car", car]);
+            let output = demo(folder.path(), &["--virtual", "--for", "2s", "--car", car]);
             let said = String::from_utf8_lossy(&output.stderr).into_owned();
             assert!(output.status.success(), "{said}");
             let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();

@@ -8,7 +8,7 @@ use std::{
     path::{Path, PathBuf},
     process::{Command, Output, Stdio},
     thread,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use crate::pty::OnTerminal;
@@ -39,7 +39,7 @@ struct Daemon {
 }
 
 impl Daemon {
-    fn start(states: usize) -> Self {
+    fn start(states: u32) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let listener = UnixListener::bind(folder.path().join("socket")).unwrap();
         thread::spawn(move || {
@@ -56,7 +56,7 @@ impl Daemon {
     }
 }
 
-fn serve(mut client: UnixStream, states: usize) {
+fn serve(mut client: UnixStream, states: u32) {
     let reading = BufReader::new(client.try_clone().unwrap());
     for line in reading.lines() {
         let Ok(line) = line else { return };
@@ -72,10 +72,11 @@ fn serve(mut client: UnixStream, states: usize) {
         assert_eq!(asked["command"], "watch");
         assert_eq!(asked["topics"], json!(["state"]));
         writeln!(client, "{}", json!({"version": SOCKET_VERSION, "ok": true})).unwrap();
+        let begun = Instant::now();
         for tick in 0..states {
             let state = json!({
                 "topic": "state", "tick": tick, "mode": "driving", "reason": null,
-                "drive_time_s": tick as f64 * 0.01, "pose_age_s": 0.012, "speed_m_s": 0.5,
+                "drive_time_s": f64::from(tick) * 0.01, "pose_age_s": 0.012, "speed_m_s": 0.5,
                 "x_m": 0.1, "y_m": 0.2, "yaw_rad": 1.0, "point_m": [0.3, 0.2],
                 "reference_m": [0.3, 0.21], "commanded_speed_m_s": 0.5, "steering_rad": 0.1,
                 "board_age_s": 0.004, "held": false, "link": "ready", "t_s": 1.0, "time_ns": 1,
@@ -84,7 +85,9 @@ fn serve(mut client: UnixStream, states: usize) {
             if writeln!(client, "{state}").is_err() {
                 return;
             }
-            thread::sleep(Duration::from_millis(10));
+            // Not later for those that were late.
+            let next = Duration::from_millis(10) * (tick + 1);
+            thread::sleep(next.saturating_sub(begun.elapsed()));
         }
         return;
     }
