@@ -33,26 +33,19 @@ mod car;
 mod clock;
 mod floor;
 pub mod integrator;
-mod loss;
 mod natnet_server;
 mod parameters;
 #[cfg(feature = "real-time")]
-mod pty;
+mod ports;
 mod pulses;
-#[cfg(feature = "real-time")]
-mod qtm_server;
 mod random;
 mod ranges;
 #[cfg(feature = "real-time")]
 mod real_time;
 mod scripted;
 #[cfg(feature = "real-time")]
-mod sockets;
-#[cfg(feature = "real-time")]
 mod stream_servers;
 mod truth;
-#[cfg(feature = "real-time")]
-mod vrpn_server;
 mod wire;
 mod world;
 
@@ -66,7 +59,8 @@ pub use board::{
 pub use by_hand::{HAND_COMMANDS, HandCommand, Seen, UnknownHandCommand};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
-    DecoyMotion, LossKind, ServerKind, Sight, TICKS_PER_SECOND,
+    DecoyMotion, LossKind, LossPattern, LossPatternError, LossWindow, ServerKind, Sight,
+    TICKS_PER_SECOND, parse_duration_us,
 };
 pub use car::{
     BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters,
@@ -75,13 +69,12 @@ pub use car::{
 };
 pub use clock::SkewedClock;
 pub use floor::Floor;
-pub use loss::{LossPattern, LossPatternError, LossWindow, parse_duration_us};
 pub use natnet_server::{
     Datagram, Destination, NatNetCounters, NatNetParameters, NatNetServer, parse_bitstream,
 };
 pub use parameters::{ConfigError, SimulationConfig, default_board_configuration};
 #[cfg(feature = "real-time")]
-pub use pty::{Pty, PtyError};
+pub use ports::{Pty, PtyError, UdpConfig, UdpError};
 pub use pulses::{PulseFilter, PulseLog, PulseRecord, SERVO_FRAME_US};
 #[cfg(feature = "real-time")]
 pub use real_time::{
@@ -91,8 +84,6 @@ pub use real_time::{
 pub use scripted::{ScriptedDrive, ScriptedHost};
 pub use singletrack_mocap::UpAxis;
 pub use singletrack_simavr::{BusFault, CYCLES_PER_US, Cost, Figures, Hang};
-#[cfg(feature = "real-time")]
-pub use sockets::{UdpConfig, UdpError};
 pub use truth::{CarTruth, SimulationFileError, TRUTH_KEYS, TruthKey};
 pub use wire::{SerialWire, WireFaults, WireParameters};
 pub use world::World;

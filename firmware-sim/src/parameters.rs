@@ -73,6 +73,28 @@ impl SimulationConfig {
         car.imu.mounting_deg = mounting_deg(board.imu_axes);
         self.board.car_id = board.car_id;
     }
+
+    /// Checks all settings against their ranges.
+    ///
+    /// # Errors
+    ///
+    /// The first setting that is out of range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let car = &self.car;
+        car.vehicle.validate()?;
+        car.servo.check()?;
+        car.motor.check()?;
+        if let Some(push) = &car.motor.push {
+            push.check()?;
+        }
+        car.motor_sensor.check()?;
+        car.battery.check()?;
+        car.imu.check()?;
+        self.cameras.check()?;
+        self.board.check()?;
+        self.wire.check()?;
+        Ok(self.wire.faults.check()?)
+    }
 }
 
 /// The board's configuration for the default [`crate::CarParameters`], as from a
@@ -114,30 +136,6 @@ pub const fn default_board_configuration() -> Configuration {
         max_roll_out_ms: LONGEST_ROLL_OUT_MS,
         car_id: 0,
         imu_axes: ImuAxes::AS_PRINTED,
-    }
-}
-
-impl SimulationConfig {
-    /// Checks all settings against their ranges.
-    ///
-    /// # Errors
-    ///
-    /// The first setting that is out of range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        let car = &self.car;
-        car.vehicle.validate()?;
-        car.servo.check()?;
-        car.motor.check()?;
-        if let Some(push) = &car.motor.push {
-            push.check()?;
-        }
-        car.motor_sensor.check()?;
-        car.battery.check()?;
-        car.imu.check()?;
-        self.cameras.check()?;
-        self.board.check()?;
-        self.wire.check()?;
-        Ok(self.wire.faults.check()?)
     }
 }
 

@@ -23,9 +23,8 @@ use crate::{
     car::Truth,
     floor::Floor,
     parameters::{ConfigError, SimulationConfig},
-    pty::{Pty, PtyError},
+    ports::{NatNetSockets, Pty, PtyError, UdpConfig, UdpError},
     pulses::push_bounded,
-    sockets::{NatNetSockets, UdpConfig, UdpError},
     stream_servers::StreamServers,
     world::World,
 };

@@ -1,13 +1,14 @@
-//! Executes requests.
+//! Executes requests, and measures resource usage step by step.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
-use singletrack_simavr::{BusFault, Hang, Motion, Reply, Report, Request, ResetFlags, Run};
+use singletrack_simavr::{
+    BusFault, CYCLES_PER_US, Cost, Figures, Hang, Motion, Reply, Report, Request, ResetFlags, Run,
+};
 
 use crate::{
     elf::Image,
-    figures::{Meter, PATTERN, Span},
-    machine::Machine,
+    machine::{Machine, Status},
 };
 
 const SRAM: usize = 0x100;
@@ -22,7 +23,14 @@ const FLOATING_MV: u32 = 3_900;
 const DIVIDER_OHM: u32 = 5_000;
 const PULL_UP_OHM: u32 = 35_000;
 /// Time for which the motor sensor stays high, unless the next edge is earlier.
-const SENSOR_HIGH: u64 = 16 * 50;
+const SENSOR_HIGH: u64 = CYCLES_PER_US * 50;
+/// Critical sections within this time after the start do not count.
+const SETTLING: u64 = 5_000 * CYCLES_PER_US;
+
+/// Contents of SRAM that has not been written since power-on.
+const PATTERN: u8 = 0xC5;
+/// Number of consecutive pattern bytes that counts as unwritten.
+const UNTOUCHED: usize = 16;
 
 /// The board with an image in its flash, held in reset.
 pub(crate) struct Board {
@@ -290,15 +298,7 @@ impl Board {
             self.machine.run(until);
         }
         let status = self.machine.status;
-        self.meter.pass(Span {
-            from: before.cycle,
-            to: status.cycle,
-            was_asleep: before.asleep,
-            entered: (status.entered != 0).then_some((status.entered, status.response)),
-            depth: usize::from(status.depth),
-            // A hang does not count as a critical section.
-            interrupts_enabled: status.interrupts_enabled || self.hang.is_some(),
-        });
+        self.meter.pass(&before, &status, self.hang.is_some());
         let devices = self.machine.devices();
         if status.entered != 0 {
             devices.served(status.entered);
@@ -327,5 +327,147 @@ impl Board {
             "the processor crashed in cycle {} at {:#06x}: {reason}",
             status.cycle, status.pc
         ));
+    }
+}
+
+/// Costs by the number of what ran.
+#[derive(Debug, Default)]
+struct Costs(BTreeMap<u8, Cost>);
+
+impl Costs {
+    fn add(&mut self, number: u8, cycles: u64) {
+        let cost = self.0.entry(number).or_default();
+        cost.number = number;
+        cost.count += 1;
+        cost.most_cycles = cost.most_cycles.max(narrow(cycles));
+        cost.all_cycles += cycles;
+    }
+
+    fn list(&self) -> Vec<Cost> {
+        self.0.values().cloned().collect()
+    }
+}
+
+#[derive(Debug, Default)]
+struct Meter {
+    cycles: u64,
+    cycles_asleep: u64,
+    started: u64,
+    /// Cycles of the main program while awake.
+    main: u64,
+    /// Interrupts in service with their start times.
+    serving: Vec<(u8, u64)>,
+    interrupts: Costs,
+    disabled_since: Option<u64>,
+    longest_critical_section: u64,
+    open: Option<(u8, u64)>,
+    sections: Costs,
+}
+
+impl Meter {
+    fn start(&mut self, now: u64) {
+        self.started = now;
+        self.stop();
+    }
+
+    /// Discards measurements in progress, after a reset or a hang.
+    fn stop(&mut self) {
+        self.serving.clear();
+        self.disabled_since = None;
+        self.open = None;
+    }
+
+    /// Counts a step of the processor, which went from `before` to `after`. A hang does not count as
+    /// a critical section.
+    fn pass(&mut self, before: &Status, after: &Status, hangs: bool) {
+        let cycles = after.cycle - before.cycle;
+        let response = u64::from(after.response);
+        self.cycles += cycles;
+        if before.asleep {
+            self.cycles_asleep += cycles - response.min(cycles);
+        } else if self.serving.is_empty() {
+            self.main += cycles - response.min(cycles);
+        }
+        if after.entered != 0 {
+            self.serving.push((after.entered, after.cycle - response));
+        }
+        while self.serving.len() > usize::from(after.depth) {
+            if let Some((vector, start)) = self.serving.pop() {
+                self.interrupts.add(vector, after.cycle - start);
+            }
+        }
+        if after.interrupts_enabled || hangs || !self.serving.is_empty() {
+            if let Some(since) = self.disabled_since.take() {
+                let longest = &mut self.longest_critical_section;
+                *longest = (*longest).max(after.cycle - response - since);
+            }
+        } else if after.cycle >= self.started + SETTLING {
+            self.disabled_since.get_or_insert(after.cycle);
+        }
+    }
+
+    /// The main program has written to GPIOR0.
+    fn mark(&mut self, value: u8) {
+        if !self.serving.is_empty() {
+            return;
+        }
+        if let Some((number, since)) = self.open.take() {
+            self.sections.add(number, self.main - since);
+        }
+        if value != 0 {
+            self.open = Some((value, self.main));
+        }
+    }
+
+    /// The figures; `sram` starts above the static data.
+    fn figures(&self, sram: &[u8]) -> Figures {
+        Figures {
+            cycles: self.cycles,
+            cycles_asleep: self.cycles_asleep,
+            stack_bytes: stack_bytes(sram),
+            longest_critical_section: narrow(self.longest_critical_section),
+            interrupts: self.interrupts.list(),
+            sections: self.sections.list(),
+        }
+    }
+}
+
+fn narrow(cycles: u64) -> u32 {
+    u32::try_from(cycles).unwrap_or(u32::MAX)
+}
+
+/// Bytes above the first unwritten run; all, if there is none.
+fn stack_bytes(sram: &[u8]) -> u16 {
+    let untouched = sram
+        .windows(UNTOUCHED)
+        .position(|window| window.iter().all(|&byte| byte == PATTERN));
+    let stack = untouched.map_or(sram, |start| {
+        let run = sram.get(start..).unwrap_or_default();
+        let length = run.iter().take_while(|&&byte| byte == PATTERN).count();
+        run.get(length..).unwrap_or_default()
+    });
+    u16::try_from(stack.len()).unwrap_or(u16::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_stack_ends_at_the_untouched_bytes() {
+        let mut sram = vec![PATTERN; 100];
+        assert_eq!(stack_bytes(&sram), 0);
+        sram[90..].fill(1);
+        assert_eq!(stack_bytes(&sram), 10);
+        // A stack buffer that was hardly written.
+        sram[70] = 1;
+        assert_eq!(stack_bytes(&sram), 30);
+        // Data above the static data without symbols.
+        sram[..8].fill(1);
+        assert_eq!(stack_bytes(&sram), 30);
+        for byte in sram.iter_mut().step_by(10) {
+            *byte = 1;
+        }
+        assert_eq!(stack_bytes(&sram), 100);
     }
 }

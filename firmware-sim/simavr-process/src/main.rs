@@ -16,7 +16,6 @@
 mod board;
 mod devices;
 mod elf;
-mod figures;
 mod machine;
 mod timers;
 mod twi;

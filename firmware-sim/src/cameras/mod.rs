@@ -16,7 +16,10 @@ use crate::{
     random::{Random, Stream},
 };
 
-pub use parameters::{CameraParameters, CarBody, DecoyBody, LossKind, ServerKind};
+pub use parameters::{
+    CameraParameters, CarBody, DecoyBody, LossKind, LossPattern, LossPatternError, LossWindow,
+    ServerKind, parse_duration_us,
+};
 
 /// Ticks of the server's clock per second, as Motive's on Windows.
 pub const TICKS_PER_SECOND: u64 = 10_000_000;

@@ -1,7 +1,6 @@
 use singletrack_mocap::UpAxis;
 
 use super::*;
-use crate::loss::LossWindow;
 
 fn frames(parameters: CameraParameters, truth: Truth, until_us: u64) -> Vec<CameraFrame> {
     let mut cameras = Cameras::new(parameters, 1);
