@@ -5,7 +5,7 @@ use singletrack_protocol::JOG_LIMIT_US;
 
 use super::{
     car::{CHECK_LINE, Car, armed},
-    spin::{CREEPS, beyond, way},
+    motor::{CREEPS, beyond, way},
 };
 use crate::{
     Bench, BoardReading, Finding, Interval, Jog, Parameter, Trouble,

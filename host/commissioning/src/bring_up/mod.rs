@@ -6,23 +6,27 @@
 //! command line, the daemon or the line is gone. The cameras watch the car in every tick, and an
 //! emergency stop ends the step if it leaves its stand.
 //!
+//! "Now" and "just now" in a question are the moment of its answer. The servo stays where a jog left it:
+//! angles are read while the car is disarmed.
+//!
 //! A step that measures puts its result in force, because later steps rely on it. An interrupted
 //! bring-up continues after the last step that was completed.
 
 mod car;
 mod esc;
 mod motor;
-mod questions;
-mod spin;
 mod steering;
 mod stops;
 
+use std::borrow::Cow;
+
 use self::{
     car::{Car, armed},
-    spin::mean_speed,
+    motor::mean_speed,
 };
 use crate::{
-    Bench, BoardReading, Finding, Inertial, Plot, PlotKind, PlotLine, Step, Trouble, Verdict,
+    Answer, Answers, Bench, BoardReading, Finding, Inertial, Plot, PlotKind, PlotLine, Question,
+    Step, Trouble, Verdict,
     finding::{change, failed, keys, require},
     imu_noise::{Comparison, NoiseLevel, compare},
 };
@@ -100,6 +104,49 @@ pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
              0.2 s.",
         ),
     ]
+}
+
+impl dyn Bench + '_ {
+    /// Asks a question that must not be skipped.
+    fn answer(
+        &mut self,
+        id: &'static str,
+        text: impl Into<Cow<'static, str>>,
+        answers: Answers,
+    ) -> Result<Answer, Trouble> {
+        let text = text.into();
+        match self.ask(&Question { id, text, answers })? {
+            Answer::Skip => Err(Trouble::Skipped),
+            answer => Ok(answer),
+        }
+    }
+
+    /// Waits until the operator is ready to do this, or has done it.
+    fn ready(&mut self, id: &'static str, request: &'static str) -> Result<(), Trouble> {
+        self.answer(id, request, Answers::Begin).map(drop)
+    }
+
+    /// Asks for yes or no.
+    fn ask_yes(
+        &mut self,
+        id: &'static str,
+        text: impl Into<Cow<'static, str>>,
+    ) -> Result<bool, Trouble> {
+        Ok(self.answer(id, text, Answers::YesNo)? == Answer::YesNo(true))
+    }
+
+    /// Asks for one of several words.
+    fn ask_word(
+        &mut self,
+        id: &'static str,
+        text: &'static str,
+        words: &'static [&'static str],
+    ) -> Result<&'static str, Trouble> {
+        match self.answer(id, text, Answers::Choice(words))? {
+            Answer::Choice(index) => words.get(index).copied().ok_or(Trouble::Skipped),
+            _ => Err(Trouble::Skipped),
+        }
+    }
 }
 
 /// Time for which the car must be at rest, s.

@@ -10,7 +10,7 @@ use singletrack_protocol::ResetCause;
 
 use super::{
     car::{CHECK_LINE, Car, armed},
-    spin::{SPIN_M_S, Spun, mean_speed},
+    motor::{SPIN_M_S, Spun, mean_speed},
 };
 use crate::{
     Bench, BoardReading, Finding, Interval, Parameter, Trouble, Verdict,
