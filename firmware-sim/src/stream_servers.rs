@@ -7,6 +7,7 @@ use std::{
 };
 
 use singletrack_mocap::{
+    codec::RigidBody,
     qualisys::packet::{self, ByteOrder, Component, FrameBody, Kind, Packet, write_frame},
     vrpn::message::{
         self, COOKIE, COOKIE_BEGINNING, Message, PING, PONG, POSE, Pose, SENDER_DESCRIPTION,
@@ -129,6 +130,12 @@ fn answer_discovery(socket: &UdpSocket, little_endian_port: u16) {
         let answer = packet::discovered("singletrack-sim, QTM 2.17, 0 cameras", base_port);
         let _ = socket.send_to(&answer, SocketAddr::new(from.ip(), port));
     }
+}
+
+/// The body with this id, if it is seen.
+fn tracked(frame: &CameraFrame, id: i32) -> Option<&RigidBody> {
+    let mut bodies = frame.bodies.iter();
+    bodies.find(|body| body.id == id && body.tracking_valid())
 }
 
 /// How long the server waits for a client that it calls back.
@@ -267,7 +274,7 @@ impl StreamServer for VrpnServer {
         }
         for (number, (id, _)) in (0..).zip(cameras.names()) {
             // VRPN has no sign of a body that is not seen: nothing is reported.
-            if let Some(body) = frame.tracked(id) {
+            if let Some(body) = tracked(frame, id) {
                 let pose = Pose {
                     sensor: 0,
                     position_m: body.position_m.map(f64::from),
@@ -460,7 +467,7 @@ impl StreamServer for QtmServer {
         let bodies: Vec<_> = cameras
             .names()
             .map(|(id, _)| {
-                frame.tracked(id).map_or(UNSEEN, |body| FrameBody {
+                tracked(frame, id).map_or(UNSEEN, |body| FrameBody {
                     position_mm: body.position_m.map(|metres| metres * 1e3),
                     axes: axes(body.orientation_xyzw),
                     residual_mm: body.mean_error_m * 1e3,

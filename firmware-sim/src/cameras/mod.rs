@@ -81,15 +81,6 @@ pub struct CameraFrame {
     pub silent: bool,
 }
 
-impl CameraFrame {
-    /// The body with this id, if it is seen.
-    #[cfg(feature = "real-time")]
-    pub(crate) fn tracked(&self, id: i32) -> Option<&RigidBody> {
-        let mut bodies = self.bodies.iter();
-        bodies.find(|body| body.id == id && body.tracking_valid())
-    }
-}
-
 /// Numbers of frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CameraCounters {

@@ -17,7 +17,7 @@ use singletrack_pilot::{Arming, PilotRequest};
 use singletrack_record::Digest;
 use singletrack_sim::{
     CarTruth, ImuFault, LossKind, LossPattern, LossWindow, MotorSensorFault, SimulationConfig,
-    StartPose, World, parse_duration_us,
+    StartPose, parse_duration_us,
 };
 use toml::{Table, Value};
 
@@ -387,12 +387,8 @@ impl Laboratory {
                 world.car.sensor_fault = choice(name, word, &known)?;
             }
             ("cameras", Word(word)) => {
-                let known = [
-                    ("none", None),
-                    ("occluded", Some(LossKind::Occluded)),
-                    ("absent", Some(LossKind::Absent)),
-                    ("silent", Some(LossKind::Silent)),
-                ];
+                let kinds = LossKind::ALL.map(|kind| (kind.name(), Some(kind)));
+                let known = [&[("none", None)], &kinds[..]].concat();
                 cameras.loss = choice(name, word, &known)?;
             }
             ("camera_jump_m", Numbers(jump)) if jump.iter().all(|it| in_hall(*it)) => {
@@ -402,7 +398,7 @@ impl Laboratory {
             ("line_drop", Number(share @ 0.0..=1.0)) => line.drop = *share,
             ("line_corrupt", Number(share @ 0.0..=1.0)) => line.corrupt = *share,
             ("line_delay_us", Number(us @ 0.0..)) if us.trunc() == *us => {
-                line.delay_us = *us as u64
+                line.delay_us = *us as u64;
             }
             ("line_stuck", Switch(on)) => line.stuck = *on,
             ("cable", Switch(on)) => world.set_cable(*on),

@@ -1,6 +1,6 @@
 //! A build without the feature `records`: no drive can be recorded.
 
-use std::{convert::Infallible, path::Path};
+use std::path::Path;
 
 use singletrack_core::Config;
 
@@ -12,7 +12,7 @@ use crate::virtual_drive::VirtualDrive;
 pub struct VirtualRecordError;
 
 /// There is none.
-pub struct VirtualRecord(Infallible);
+pub enum VirtualRecord {}
 
 impl VirtualRecord {
     /// Refuses to start a record.
@@ -35,7 +35,7 @@ impl VirtualRecord {
     ///
     /// Never.
     pub fn into_bytes(self, _drive: &mut VirtualDrive) -> Result<Vec<u8>, VirtualRecordError> {
-        match self.0 {}
+        match self {}
     }
 
     /// Is never called.
@@ -44,7 +44,7 @@ impl VirtualRecord {
     ///
     /// Never.
     pub fn write(&mut self, _drive: &mut VirtualDrive) -> Result<(), VirtualRecordError> {
-        match self.0 {}
+        match *self {}
     }
 
     /// Is never called.
@@ -53,6 +53,6 @@ impl VirtualRecord {
     ///
     /// Never.
     pub fn finish(self, _drive: &mut VirtualDrive) -> Result<(), VirtualRecordError> {
-        match self.0 {}
+        match self {}
     }
 }

@@ -5,7 +5,7 @@ use singletrack_protocol::JOG_LIMIT_US;
 
 use super::{
     car::{CHECK_LINE, Car, armed},
-    motor::{CREEPS, beyond, way},
+    motor::{CREEPS, FROM_US, beyond, way},
 };
 use crate::{
     Bench, BoardReading, Finding, Interval, Jog, Parameter, Trouble,
@@ -17,9 +17,6 @@ const ARMED_S: f64 = 1.0;
 
 /// Time that the operator has to cut the supply, s. The board ends a jog after 10 s.
 const CUT_WITHIN_S: f64 = 6.0;
-
-/// Where the search for the first turn begins, beyond neutral, us.
-const FROM_US: u16 = 16;
 
 pub(super) fn find_kill(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if bench.configuration().board.kill_output {

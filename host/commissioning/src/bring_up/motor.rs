@@ -27,7 +27,7 @@ pub(super) const SPIN_M_S: f64 = 0.4;
 pub(super) const CREEPS: f64 = 0.12;
 
 /// Where the search for the first turn begins, beyond neutral, us.
-const FROM_US: u16 = 16;
+pub(super) const FROM_US: u16 = 16;
 
 /// Time in which a speed settles, and time in which it is measured, s.
 const SETTLE_S: f64 = 0.7;

@@ -51,9 +51,12 @@ const READING_RAD: f64 = 0.0175;
 /// Scale error of the readings: parallax, and the linkage's curve.
 const SCALE: f64 = 0.02;
 
-/// Moves the servo and leaves it there.
-fn turn_to(bench: &mut dyn Bench, pulse_us: u16) -> Result<(), Trouble> {
-    armed(bench, |car| turn(car, pulse_us, TURN_US_PER_S))
+/// Moves the servo to each of these pulses and leaves it at the last.
+fn turn_to(bench: &mut dyn Bench, pulses_us: &[u16]) -> Result<(), Trouble> {
+    armed(bench, |car| {
+        let mut pulses_us = pulses_us.iter();
+        pulses_us.try_for_each(|pulse_us| turn(car, *pulse_us, TURN_US_PER_S))
+    })
 }
 
 /// Moves the servo within an armed jog, at this speed. No motor may turn meanwhile.
@@ -126,7 +129,7 @@ pub(super) fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
                    tight? Answer as seen from behind the car.";
         require(attempt < 2, found, fix)?;
     }
-    turn_to(bench, servo.centre_us)?;
+    turn_to(bench, &[servo.centre_us])?;
     let sign = seen[0];
     let longer = if sign > 0 { "left" } else { "right" };
     let found = format!("a longer pulse steers to the {longer}");
@@ -155,10 +158,7 @@ fn find_straight(bench: &mut dyn Bench, begin: i32, from: i32) -> Result<[f64; 2
         require(answers <= CENTRE_ANSWERS, found, fix)?;
         let before = limited(&servo, pulse + from * 60);
         let pulse = limited(&servo, pulse);
-        armed(bench, |car| {
-            turn(car, before, TURN_US_PER_S)?;
-            turn(car, pulse, TURN_US_PER_S)
-        })?;
+        turn_to(bench, &[before, pulse])?;
         // To the side of longer pulses.
         Ok(see(bench)? * sign)
     };
@@ -192,7 +192,7 @@ pub(super) fn centre(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let gain = f64::from(servo.gain_us_per_rad.unsigned_abs()) * GAIN_UNKNOWN;
     let half = EYE_RAD * gain + play / 2.0 + f64::from(CENTRE_STEPS_US[3]) / 2.0;
     let centre_us = limited(&servo, centre.round() as i32);
-    turn_to(bench, centre_us)?;
+    turn_to(bench, &[centre_us])?;
     let estimate = Interval::around(centre, half);
     let parameters = vec![
         Parameter::new("servo-centre", "us", estimate)
@@ -216,10 +216,7 @@ pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
         let pulse_us = limited(&servo, pulse);
         let back = limited(&servo, i32::midpoint(centre, pulse));
-        armed(bench, |car| {
-            turn(car, pulse_us, TURN_US_PER_S)?;
-            turn(car, back, TURN_US_PER_S)
-        })?;
+        turn_to(bench, &[pulse_us, back])?;
         let text = format!(
             "The servo was at {pulse_us} us for a moment. Did it buzz, or did the wheels not \
              follow to the end?"
@@ -251,7 +248,7 @@ pub(super) fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     };
     let (min, below) = search(-1, servo.min_us)?;
     let (max, above) = search(1, servo.max_us)?;
-    turn_to(bench, servo.centre_us)?;
+    turn_to(bench, &[servo.centre_us])?;
     let is_free = centre - min >= STOPS_FROM_US && max - centre >= STOPS_FROM_US;
     let found = format!("an end stop is within {STOPS_FROM_US} us of the centre");
     let fix =
@@ -292,7 +289,7 @@ pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     // There and back, so that play cancels.
     for part in READ_AT.into_iter().chain(READ_AT.into_iter().rev()) {
         let pulse = centre + (part * f64::from(range)).round() as i32;
-        turn_to(bench, limited(&servo, pulse))?;
+        turn_to(bench, &[limited(&servo, pulse)])?;
         let answers = Answers::Number {
             unit: "deg",
             range: [-60.0, 60.0],
@@ -302,7 +299,7 @@ pub(super) fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         };
         readings.push([f64::from(pulse), degrees.to_radians()]);
     }
-    turn_to(bench, servo.centre_us)?;
+    turn_to(bench, &[servo.centre_us])?;
     let unread = || {
         let fix = "Read the angle of the front wheels from straight on, left positive.";
         failed("the readings give no gain", fix)
