@@ -1,4 +1,5 @@
-//! A foreign log, why it is not imported, and a summary of an import.
+//! A foreign log: its samples, how regular their times are, why it is not imported, and a summary of an
+//! import.
 
 use std::{
     error::Error,
@@ -10,7 +11,7 @@ use singletrack_control::statistics::Arrivals;
 use singletrack_mocap::Observation;
 use singletrack_record::{RecordError, seconds_since};
 
-use super::{FIRST_ROW_NS, samples::Series, times::Times};
+use super::FIRST_ROW_NS;
 
 /// Why a log was not imported.
 #[derive(Debug, thiserror::Error)]
@@ -221,5 +222,305 @@ fn write_gap(formatter: &mut fmt::Formatter<'_>, what: &str, of: &Arrivals) -> f
             let length_s = gap.longest_ns as f64 * 1e-9;
             write!(formatter, "{what} {length_s:.3} s at {start_s:.3} s")
         }
+    }
+}
+
+/// Nanoseconds in a second.
+const SECOND_NS: u64 = 1_000_000_000;
+
+/// A sample of a sensor or of a command.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Sample<const N: usize> {
+    /// When it was measured, or in force from, on the clock of the record.
+    pub(super) time_ns: u64,
+    /// Its values.
+    pub(super) values: [f64; N],
+}
+
+/// How samples are interpolated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Interpolation {
+    /// Samples per second.
+    pub(super) rate_hz: u32,
+    /// Between samples that are farther apart there is nothing.
+    pub(super) longest_gap_ns: u64,
+}
+
+/// Samples with the rule for the time between them.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Series<const N: usize> {
+    pub(super) samples: Vec<Sample<N>>,
+    interpolation: Option<Interpolation>,
+}
+
+impl<const N: usize> Series<N> {
+    /// Samples in the order of their times. Without an interpolation a value is held until the
+    /// next one.
+    pub(super) const fn new(samples: Vec<Sample<N>>, interpolation: Option<Interpolation>) -> Self {
+        Self {
+            samples,
+            interpolation,
+        }
+    }
+
+    /// The times of the samples of the log.
+    pub(super) fn times_ns(&self) -> impl Iterator<Item = u64> {
+        self.samples.iter().map(|sample| sample.time_ns)
+    }
+
+    /// The values at a time: of the last of several samples of that time. `None` before the first
+    /// one, and where an interpolation has nothing.
+    pub(super) fn at(&self, time_ns: u64) -> Option<[f64; N]> {
+        let after = self.samples.partition_point(|one| one.time_ns <= time_ns);
+        let before = self.samples.get(after.checked_sub(1)?)?;
+        match self.interpolation {
+            Some(interpolation) if before.time_ns != time_ns => {
+                between(before, self.samples.get(after)?, time_ns, interpolation)
+            }
+            _ => Some(before.values),
+        }
+    }
+
+    /// All samples, or those at the rate of the interpolation: at whole multiples of its period,
+    /// of which the first row of the log is one.
+    pub(super) fn resampled(&self) -> Vec<Sample<N>> {
+        let Some(interpolation) = self.interpolation else {
+            return self.samples.clone();
+        };
+        let rate = u64::from(interpolation.rate_hz.max(1));
+        let first = self.samples.first().map_or(0, |sample| sample.time_ns);
+        let last = self.samples.last().map_or(0, |sample| sample.time_ns);
+        let number =
+            |time_ns: u64| (u128::from(time_ns) * u128::from(rate)) / u128::from(SECOND_NS);
+        let mut resampled = Vec::new();
+        for point in number(first)..=number(last) {
+            let time_ns = (point * u128::from(SECOND_NS) / u128::from(rate)) as u64;
+            let values = self.at(time_ns);
+            resampled.extend(values.map(|values| Sample { time_ns, values }));
+        }
+        resampled
+    }
+}
+
+/// Linear between two samples, if they are not too far apart.
+fn between<const N: usize>(
+    before: &Sample<N>,
+    after: &Sample<N>,
+    time_ns: u64,
+    interpolation: Interpolation,
+) -> Option<[f64; N]> {
+    let gap_ns = after.time_ns - before.time_ns;
+    if gap_ns > interpolation.longest_gap_ns {
+        return None;
+    }
+    let share = (time_ns - before.time_ns) as f64 / gap_ns as f64;
+    let mut values = before.values;
+    for (value, after) in values.iter_mut().zip(after.values) {
+        *value += share * (after - *value);
+    }
+    Some(values)
+}
+
+/// The share of a message's jitter that moves the next exposure: the clocks of cameras and log drift.
+pub(super) const FOLLOWED: f64 = 0.02;
+
+/// The jitter from which exposures that are regular are worth the key, in s; and the share of a period
+/// up to which the times can be those of regular exposures.
+const WORTH: f64 = 2e-4;
+const REGULAR: f64 = 0.3;
+/// The finest grid of stamps that is told, and how well the stamps must lie on it, in s.
+const FINEST: f64 = 5e-4;
+const ON_GRID: f64 = 1.5e-4;
+
+/// The rate of a source, and what is irregular in its times.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Times {
+    /// Samples per second: one over the median of the intervals.
+    pub rate_hz: f64,
+    /// Root mean square of the times' distances from regular ones, in s.
+    pub jitter_s: f64,
+    /// The step of a grid on which all times lie, if it is coarse, in s.
+    pub grid_s: Option<f64>,
+}
+
+impl Times {
+    /// The statistics of times in order, in ns; none for fewer than ten.
+    pub(super) fn of(times_ns: &[u64]) -> Option<Self> {
+        let intervals = times_ns.windows(2).map(|pair| pair[1] - pair[0]);
+        let intervals: Vec<f64> = intervals.map(|ns| ns as f64 * 1e-9).collect();
+        if intervals.len() < 10 {
+            return None;
+        }
+        let mut sorted = intervals.clone();
+        sorted.sort_by(f64::total_cmp);
+        let mean = mean_period(&intervals, &sorted)?;
+        Some(Self {
+            rate_hz: 1.0 / mean,
+            jitter_s: jitter(&intervals, mean),
+            grid_s: grid(&sorted),
+        })
+    }
+
+    /// The rate of regular exposures that these times may be, if that is worth a key.
+    pub fn exposures_hz(&self) -> Option<u32> {
+        let rate = self.rate_hz.round();
+        let is_whole = (self.rate_hz - rate).abs() < 0.01 * rate;
+        let is_jitter = self.jitter_s > WORTH && self.jitter_s < REGULAR / self.rate_hz;
+        (is_whole && is_jitter).then_some(rate as u32)
+    }
+}
+
+/// The mean of the intervals that are about one period: a gap is none.
+fn mean_period(intervals: &[f64], sorted: &[f64]) -> Option<f64> {
+    let median = sorted.get(sorted.len() / 2).copied()?;
+    let about = 0.4 * median..1.6 * median;
+    let whole = intervals.iter().copied().filter(|it| about.contains(it));
+    let whole: Vec<f64> = whole.collect();
+    let mean = whole.iter().sum::<f64>() / whole.len() as f64;
+    (mean > 0.0).then_some(mean)
+}
+
+/// Distances from regular times that follow the clock slowly, as the import's exposures do.
+fn jitter(intervals: &[f64], period: f64) -> f64 {
+    let (mut off, mut squares, mut count) = (0.0, 0.0, 0.0);
+    for interval in intervals {
+        let periods = (interval / period).round().max(1.0);
+        off += interval - periods * period;
+        if off.abs() > 0.5 * period {
+            off = 0.0;
+        }
+        squares += off * off;
+        count += 1.0;
+        off -= FOLLOWED * off;
+    }
+    f64::sqrt(squares / f64::max(count, 1.0))
+}
+
+/// The step of which all intervals, in order of their lengths, are multiples, if they are few ones.
+fn grid(intervals: &[f64]) -> Option<f64> {
+    // The levels on which the intervals lie.
+    let mut levels: Vec<(f64, usize)> = Vec::new();
+    for interval in intervals {
+        match levels.last_mut() {
+            Some((level, count)) if interval - *level < 2.0 * ON_GRID => {
+                *level += (interval - *level) / (*count as f64 + 1.0);
+                *count += 1;
+            }
+            _ => levels.push((*interval, 1)),
+        }
+    }
+    // Strays are none.
+    levels.retain(|(_, count)| 100 * count > intervals.len());
+    let steps = levels.windows(2).map(|pair| pair[1].0 - pair[0].0);
+    let step = steps.min_by(f64::total_cmp)?;
+    let lies = |level: f64| (level - (level / step).round() * step).abs() < 2.0 * ON_GRID;
+    let covers = levels.iter().map(|(_, count)| count).sum::<usize>() * 100 > 95 * intervals.len();
+    (step > FINEST && covers && levels.iter().all(|(level, _)| lies(*level))).then_some(step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const INTERPOLATION: Interpolation = Interpolation {
+        rate_hz: 100,
+        longest_gap_ns: 30_000_000,
+    };
+
+    fn series(samples: &[(u64, f64)], interpolation: Option<Interpolation>) -> Series<1> {
+        let samples = samples.iter().map(|(time_ms, value)| Sample {
+            time_ns: time_ms * 1_000_000,
+            values: [*value],
+        });
+        Series::new(samples.collect(), interpolation)
+    }
+
+    fn resampled(samples: &[(u64, f64)]) -> Vec<(u64, f64)> {
+        let points = series(samples, Some(INTERPOLATION)).resampled();
+        let rounded = |value: f64| (value * 1e9).round() / 1e9;
+        let point = |one: &Sample<1>| (one.time_ns / 1_000_000, rounded(one.values[0]));
+        points.iter().map(point).collect()
+    }
+
+    #[test]
+    fn between_samples_values_are_linear_on_whole_periods() {
+        assert_eq!(
+            resampled(&[(1_005, 1.0), (1_025, 3.0), (1_035, 0.0)]),
+            [(1_010, 1.5), (1_020, 2.5), (1_030, 1.5)]
+        );
+    }
+
+    #[test]
+    fn the_values_of_samples_on_the_grid_are_kept() {
+        assert_eq!(
+            resampled(&[(1_000, 1.0), (1_010, 3.0), (1_020, 0.0)]),
+            [(1_000, 1.0), (1_010, 3.0), (1_020, 0.0)]
+        );
+    }
+
+    #[test]
+    fn nothing_is_made_up_in_a_long_gap_before_the_first_or_after_the_last_sample() {
+        assert_eq!(
+            resampled(&[(1_005, 1.0), (1_015, 2.0), (1_046, 9.0), (1_056, 8.0)]),
+            [(1_010, 1.5), (1_050, 8.6)]
+        );
+        let gap = series(&[(1_000, 1.0), (1_031, 2.0)], Some(INTERPOLATION));
+        assert_eq!(gap.at(1_000_000_000), Some([1.0]));
+        for time_ms in [999, 1_001, 1_030, 1_032] {
+            assert_eq!(gap.at(time_ms * 1_000_000), None, "{time_ms}");
+        }
+    }
+
+    #[test]
+    fn of_two_samples_of_one_time_the_last_one_counts() {
+        let samples = [(1_000, 1.0), (1_010, 2.0), (1_010, 4.0), (1_020, 6.0)];
+        assert_eq!(
+            resampled(&samples),
+            [(1_000, 1.0), (1_010, 4.0), (1_020, 6.0)]
+        );
+        let series = series(&samples, Some(INTERPOLATION));
+        assert_eq!(series.at(1_010_000_000), Some([4.0]));
+        assert_eq!(series.at(1_015_000_000), Some([5.0]));
+    }
+
+    #[test]
+    fn without_interpolation_samples_are_kept_and_held() {
+        let held = series(&[(1_003, 1.0), (2_000, 2.0)], None);
+        assert_eq!(held.resampled().len(), 2);
+        assert_eq!(held.at(1_002_999_999), None);
+        assert_eq!(held.at(1_999_999_999), Some([1.0]));
+        assert_eq!(held.at(9_000_000_000), Some([2.0]));
+    }
+
+    #[test]
+    fn no_samples_are_no_values() {
+        for interpolation in [None, Some(INTERPOLATION)] {
+            let none = series(&[], interpolation);
+            assert_eq!(none.resampled(), []);
+            assert_eq!(none.at(1_000_000_000), None);
+        }
+    }
+
+    fn times(step: impl Fn(u32) -> f64) -> Times {
+        let times: Vec<u64> = (0..500).map(|n| (1e9 * (1.0 + step(n))) as u64).collect();
+        Times::of(&times).unwrap()
+    }
+
+    #[test]
+    fn stamps_on_a_coarse_grid_are_told_and_their_exposures_proposed() {
+        let on_grid = times(|n| (f64::from(n) * 0.01 * 360.0).round() / 360.0);
+        assert!(
+            (on_grid.grid_s.unwrap() * 360.0 - 1.0).abs() < 0.02,
+            "{on_grid:?}"
+        );
+        assert_eq!(on_grid.exposures_hz(), Some(100));
+    }
+
+    #[test]
+    fn regular_times_and_lost_samples_need_no_key() {
+        let regular = times(|n| f64::from(n + n / 100 * 7) * 0.01);
+        assert!(regular.jitter_s < 1e-6, "{regular:?}");
+        assert_eq!((regular.exposures_hz(), regular.grid_s), (None, None));
+        assert_eq!(Times::of(&[0, 1, 2]), None);
     }
 }

@@ -19,26 +19,20 @@
 mod bag;
 mod columns;
 mod csv_log;
-mod decimal;
 mod log;
 mod map;
-mod row;
-mod samples;
-mod sensor;
 mod timeline;
-mod times;
 
 use std::{collections::BTreeMap, fs, path::Path};
 
 use singletrack_record::{ClockMapping, Entry, Meta, Recorder, part_path};
 
-pub use log::{ImportError, Summary};
+pub use log::{ImportError, Summary, Times};
 pub use map::{
     Acceleration, Angle, AngularVelocity, CommandSection, Dimension, DrivingSection, EmptyRows,
     ImuSection, Length, Map, MotorSection, PoseSection, Quantity, Speed, SteeringSection,
     TimeSection, TimeUnit,
 };
-pub use times::Times;
 
 use log::Log;
 use timeline::Timeline;

@@ -9,8 +9,7 @@ use singletrack_record::{LinkPhase, MAX_EVENTS, TickRecord};
 
 use super::{
     FIRST_ROW_NS,
-    log::{Log, Summary},
-    times::Times,
+    log::{Log, Summary, Times},
 };
 
 /// The observations and the board samples of a log, tick by tick.

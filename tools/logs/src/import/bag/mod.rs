@@ -3,10 +3,8 @@
 mod cdr;
 mod definition;
 mod files;
-mod mcap;
 mod messages;
 mod path;
-mod sqlite;
 mod wanted;
 
 use std::{fmt, path::Path};
@@ -19,7 +17,6 @@ use super::{
     log::{ImportError, Log},
     map::Map,
 };
-use files::Storage;
 use messages::Messages;
 
 /// Reads the bag `path` as `map` says.
@@ -27,12 +24,7 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
     let mut sources = Vec::new();
     let mut columns = Columns::find(&mut sources, map)?;
     let mut messages = Messages::new(path, sources);
-    for (file, storage) in files::files(path)? {
-        match storage {
-            Storage::Mcap => mcap::read(&file, &mut messages)?,
-            Storage::Sqlite => sqlite::read(&file, &mut messages)?,
-        }
-    }
+    files::read(path, &mut messages)?;
     let sorted = messages.sort(map.time.longest_gap_ns())?;
     let mut span = None;
     for (time_ns, row) in messages.rows() {

@@ -8,9 +8,9 @@ use super::{
     seconds,
 };
 use crate::import::{
+    columns::{self, Cell, Header, Place},
     log::ImportError,
     map::Messages,
-    row::{self, Cell, Header, Place},
 };
 
 /// Names of elements that are listed in an error, at most.
@@ -193,7 +193,7 @@ pub(super) struct Row<'a> {
     pub(super) entry: &'a Entry,
 }
 
-impl row::Row for Row<'_> {
+impl columns::Row for Row<'_> {
     fn has(&self, place: Place) -> bool {
         place.source == self.entry.source
     }
