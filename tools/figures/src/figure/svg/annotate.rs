@@ -1,13 +1,12 @@
 //! What is written beside lines and points, where there is room.
 
 use super::{
-    area::Area,
     map::draw_dotted,
     write::{END, label, line, mark, number, pen, through, title},
 };
 use crate::figure::{
     Estimate, Level, Panel,
-    page::INK,
+    page::{Area, INK},
     place::{Obstacles, Segment, Slot},
     typeset::{self, TEXT_SIZE},
 };

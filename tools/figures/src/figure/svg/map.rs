@@ -1,13 +1,10 @@
 //! A map: shades, and lines of equal value with their labels.
 
-use super::{
-    area::Area,
-    write::{END, label, number, through, title},
-};
+use super::write::{END, label, number, through, title};
 use crate::figure::{
     Isoline, Map, Shade,
     contours::{Sheet, hatch},
-    page,
+    page::{self, Area},
     place::{Obstacles, RIM, Slot, between, interrupted, length, segments},
     thin::{Piece, thin},
     typeset::{self, TEXT_SIZE},

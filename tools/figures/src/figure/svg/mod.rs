@@ -4,17 +4,13 @@
 //! in the attributes is for print.
 
 mod annotate;
-mod area;
 mod map;
 mod write;
 
-use self::{
-    area::{Area, areas, widest},
-    write::{END, line, number, pen, rectangle, text, through, title, turned},
-};
+use self::write::{END, line, number, pen, rectangle, text, through, title, turned};
 use super::{
     Axis, Bar, Curve, Figure, Mark, Panel, Rule, Symbol,
-    page::{self, Entry, INK, Key, LINE_HEIGHT, MARGIN, NAME_SIZE, TICK_GAP},
+    page::{self, Area, Entry, INK, Key, LINE_HEIGHT, MARGIN, NAME_SIZE, TICK_GAP, areas, widest},
     place::{Obstacles, Slot},
     thin::{envelope, pieces, thin},
     typeset::{self, TEXT_SIZE, escaped},

@@ -1,10 +1,92 @@
-//! Figures over time, and the path of P on the floor.
+//! The figures of a drive, each as in the paper's experimental section or about
+//! how the controller ran.
 
-use super::LOST;
+use clap::ValueEnum;
+use singletrack_control::{statistics::Distribution, words};
+
 use crate::{
-    figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Scale, Symbol},
+    figure::{Axis, Bar, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Rule, Scale, Symbol},
     plot::drive::{Drive, Sample, TickSample},
 };
+
+/// What the shading of every figure means.
+const LOST: &str = "markers lost";
+
+words! {
+    /// A figure of a drive, with its name on the command line and of its file; in the order of a
+    /// report.
+    #[derive(ValueEnum)]
+    pub enum FigureKind {
+        /// Nominal and actual path of P.
+        Trajectory = "trajectory",
+        /// Distance of P from where it should be.
+        TrackingError = "tracking-error",
+        /// x and y of P over time.
+        Position = "position",
+        /// The velocity commanded of P.
+        CommandedVelocity = "commanded-velocity",
+        /// The steering angle that the law asks for.
+        Steering = "steering",
+        /// The speed that the law asks for, and the car's.
+        Speed = "speed",
+        /// Sideslip angle and yaw rate.
+        SideslipYawRate = "sideslip-yaw-rate",
+        /// From mid-exposure to the command that rests on it.
+        Latency = "latency",
+        /// How late ticks began.
+        Lateness = "lateness",
+    }
+}
+
+impl FigureKind {
+    /// The figures of a drive: all, without the lateness if it is always zero.
+    pub fn of(drive: &Drive) -> impl Iterator<Item = Self> {
+        let is_never_late = drive.is_never_late();
+        let has = move |kind: &Self| *kind != Self::Lateness || !is_never_late;
+        Self::ALL.into_iter().filter(has)
+    }
+
+    /// The name of its file.
+    pub fn file_name(self) -> String {
+        format!("{}.svg", self.name())
+    }
+
+    /// The figure of a drive.
+    ///
+    /// # Errors
+    ///
+    /// What the drive lacks for it.
+    pub fn draw(self, drive: &Drive) -> Result<Figure, &'static str> {
+        let figure = match self {
+            Self::Trajectory => trajectory(drive),
+            Self::Position => position(drive),
+            Self::CommandedVelocity => commanded_velocity(drive),
+            Self::Steering => steering(drive),
+            Self::Speed => speed(drive),
+            Self::SideslipYawRate => sideslip_and_yaw_rate(drive),
+            Self::TrackingError => tracking_error(drive),
+            Self::Latency => latency(drive),
+            Self::Lateness => lateness(drive),
+        };
+        // The reference alone is not what it is about.
+        let needs_point = matches!(self, Self::Trajectory | Self::Position);
+        let has_point = drive.ticks.iter().any(|tick| tick.point[0].is_finite());
+        let is_empty = figure.panels.iter().all(crate::figure::Panel::is_empty);
+        if !is_empty && (has_point || !needs_point) {
+            return Ok(figure);
+        }
+        Err(match self {
+            Self::Trajectory | Self::Position => "no tick knows where P was",
+            Self::CommandedVelocity => "no tick commands a velocity of P",
+            Self::Steering => "no tick has a steering angle",
+            Self::Speed => "no tick has a speed",
+            Self::SideslipYawRate => "no tick has an estimate of the state",
+            Self::TrackingError => "no tick knows both where P was and where it should be",
+            Self::Latency => "no command rests on a new pose and was written",
+            Self::Lateness => "there are no ticks",
+        })
+    }
+}
 
 /// The lowest tracking error on its logarithmic axis, in mm.
 const LEAST_ERROR: f64 = 0.1;
@@ -75,7 +157,7 @@ const fn only_if(is_so: bool, part: &str) -> &str {
     if is_so { part } else { "" }
 }
 
-pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
+fn commanded_velocity(drive: &Drive) -> Figure {
     let panel = |below, along: usize| {
         let y = axis("velocity", "v", below, "m/s");
         let velocity = |tick: &TickSample| tick.point_velocity[along];
@@ -90,7 +172,7 @@ pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
     )
 }
 
-pub(super) fn steering(drive: &Drive) -> Figure {
+fn steering(drive: &Drive) -> Figure {
     let curves = vec![
         line(&drive.ticks, "commanded", Look::Actual, |it| it.steering),
         line(&drive.truth, "true", Look::Truth, |it| it.steering),
@@ -103,7 +185,7 @@ pub(super) fn steering(drive: &Drive) -> Figure {
     )
 }
 
-pub(super) fn speed(drive: &Drive) -> Figure {
+fn speed(drive: &Drive) -> Figure {
     let (ticks, board) = (&drive.ticks, &drive.board);
     let curves = vec![
         line(ticks, "reference", Look::Nominal, |it| it.commanded_speed),
@@ -124,7 +206,7 @@ pub(super) fn speed(drive: &Drive) -> Figure {
     )
 }
 
-pub(super) fn position(drive: &Drive) -> Figure {
+fn position(drive: &Drive) -> Figure {
     let panel = |letter, along: usize| {
         let (ticks, truth) = (&drive.ticks, &drive.truth);
         let curves = vec![
@@ -148,7 +230,7 @@ pub(super) fn position(drive: &Drive) -> Figure {
     )
 }
 
-pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
+fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
     let sideslip = vec![
         line(&drive.ticks, "estimated", Look::Actual, |it| it.sideslip),
         line(&drive.truth, "true", Look::Truth, |it| it.sideslip),
@@ -174,7 +256,7 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
     )
 }
 
-pub(super) fn tracking_error(drive: &Drive) -> Figure {
+fn tracking_error(drive: &Drive) -> Figure {
     let true_errors = drive.truth.iter().map(|sample| drive.true_error(sample));
     let errors = drive.ticks.iter().map(TickSample::error).chain(true_errors);
     let errors: Vec<f64> = errors.filter(|error| error.is_finite()).collect();
@@ -210,7 +292,7 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
     )
 }
 
-pub(super) fn trajectory(drive: &Drive) -> Figure {
+fn trajectory(drive: &Drive) -> Figure {
     let what = match drive.is_estimated() {
         true => "P",
         false => "the rigid body",
@@ -272,5 +354,146 @@ fn lost(drive: &Drive) -> Curve {
     Curve {
         time: Some(points.iter().map(|(time, _)| *time).collect()),
         ..Curve::new(LOST, Look::Lost, &column(0), column(1))
+    }
+}
+
+/// Bars in a linear histogram.
+const BARS: usize = 50;
+/// Bars in every decade of a logarithmic one.
+const BARS_A_DECADE: i32 = 8;
+/// What a histogram counts.
+const PART: Axis = Axis::new("part of the ticks", None, "%");
+/// Lateness below this is in the first bar, in µs.
+const LEAST_LATENESS: f64 = 1.0;
+
+fn latency(drive: &Drive) -> Figure {
+    let values = drive.ticks.iter().map(|tick| tick.latency * 1000.0);
+    let latency = Distribution::of(values);
+    let mut panel = Panel::new(Axis::new("mid-exposure to command", None, "ms"), PART);
+    let mut beyond = 0;
+    if let (Some(least), Some(p99), Some(most)) =
+        (latency.min(), latency.quantile(0.99), latency.max())
+    {
+        // A single outlier must not press all others into one bar.
+        let end = if most > p99 + 2.0 * (p99 - least).max(0.1) {
+            p99 + (p99 - least).max(0.1)
+        } else {
+            most
+        };
+        let (bars, outside) = linear(&latency, least.floor(), end.ceil());
+        (panel.bars, beyond) = (bars, outside);
+        panel.rules = rules(&latency, "ms", 1);
+    }
+    let beyond = match beyond {
+        0 => String::new(),
+        count => format!("; {count} more are beyond the axis"),
+    };
+    Figure::column(
+        "Latency from capture to command",
+        format!(
+            "From the middle of the cameras' exposure to the drive command that rests on it \
+             leaving for the board, in ticks with a new pose{beyond}."
+        ),
+        vec![panel],
+    )
+}
+
+fn lateness(drive: &Drive) -> Figure {
+    let values = drive.ticks.iter().map(|tick| tick.lateness * 1e6);
+    let lateness = Distribution::of(values);
+    let axis = Axis::new("lateness of a tick", None, "µs").including(LEAST_LATENESS);
+    let mut panel = Panel::new(axis.logarithmic(), PART);
+    panel.bars = logarithmic(&lateness);
+    panel.rules = rules(&lateness, "µs", 0);
+    for rule in &mut panel.rules {
+        rule.value = rule.value.max(LEAST_LATENESS);
+    }
+    Figure::column(
+        "Lateness of the control ticks",
+        "How much later than scheduled the control thread woke up, on a logarithmic \
+         axis; what is below 1 µs is in the first bar.",
+        vec![panel],
+    )
+}
+
+fn rules(distribution: &Distribution, unit: &str, decimals: usize) -> Vec<Rule> {
+    [("median", 0.5), ("99 %", 0.99)]
+        .into_iter()
+        .filter_map(|(name, part)| {
+            let value = distribution.quantile(part)?;
+            Some(Rule {
+                name: format!("{name}: {value:.decimals$} {unit}"),
+                value,
+            })
+        })
+        .collect()
+}
+
+/// Bars of equal width from `low` to `high`, in % of all values, and how many
+/// values are outside.
+fn linear(values: &Distribution, low: f64, high: f64) -> (Vec<Bar>, usize) {
+    let high = high.max(low + 1.0);
+    let edge = |index: usize| low + (high - low) * index as f64 / BARS as f64;
+    let edges: Vec<f64> = (0..=BARS).map(edge).collect();
+    let bars = bars(values, &edges);
+    let beyond = values.count() - values.count_up_to(high);
+    (bars, beyond)
+}
+
+/// Bars of equal width on a logarithmic axis from [`LEAST_LATENESS`] on, in % of
+/// all values; those below it are in the first.
+fn logarithmic(values: &Distribution) -> Vec<Bar> {
+    let Some(most) = values.max() else {
+        return Vec::new();
+    };
+    let decades = (most.max(10.0 * LEAST_LATENESS).log10().ceil()) as i32;
+    let edge = |index: i32| 10_f64.powf(f64::from(index) / f64::from(BARS_A_DECADE));
+    let edges: Vec<f64> = (0..=decades * BARS_A_DECADE).map(edge).collect();
+    bars(values, &edges)
+}
+
+/// The bars of the values from one edge up to the next, which the last bar includes; the first
+/// bar holds all values below it as well.
+fn bars(values: &Distribution, edges: &[f64]) -> Vec<Bar> {
+    let mut below = 0;
+    let bars = edges.windows(2).enumerate().map(|(index, ends)| {
+        let end = if index + 2 == edges.len() {
+            values.count_up_to(ends[1])
+        } else {
+            values.count_below(ends[1])
+        };
+        let count = end - std::mem::replace(&mut below, end);
+        Bar {
+            span: [ends[0], ends[1]],
+            height: 100.0 * count as f64 / values.count().max(1) as f64,
+        }
+    });
+    bars.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bars_hold_all_values_once() {
+        let values = Distribution::of((0..1000).map(|index| 8.0 + f64::from(index) * 0.004));
+        let (bars, beyond) = linear(&values, 8.0, 12.0);
+        let all: f64 = bars.iter().map(|bar| bar.height).sum();
+        assert!((all - 100.0).abs() < 1e-9 && beyond == 0, "{all} {beyond}");
+        let (bars, beyond) = linear(&values, 8.0, 10.0);
+        let all: f64 = bars.iter().map(|bar| bar.height).sum();
+        assert!(
+            (all + 0.1 * beyond as f64 - 100.0).abs() < 1e-9,
+            "{all} {beyond}"
+        );
+    }
+
+    #[test]
+    fn lateness_of_nothing_is_in_the_first_bar() {
+        let bars = logarithmic(&Distribution::of([-3.0, 0.0, 0.5, 1000.0]));
+        assert_eq!(bars[0].height, 75.0);
+        assert_eq!(bars[bars.len() - 1].height, 25.0);
+        assert_eq!(bars[bars.len() - 1].span[1], 1000.0);
     }
 }
