@@ -10,7 +10,6 @@ use std::{
 };
 
 use singletrack_core::config::PageSection;
-use singletrack_figures::output::write;
 use singletrack_pilot::{Arming, Mode, PilotRequest};
 use singletrack_scenario::{virtual_drive::VirtualDrive, virtual_record::VirtualRecord};
 use singletrack_sim::{RealTimeSimulator, TimedTruth};
@@ -19,8 +18,8 @@ use singletrackd::{Daemon, Snapshot};
 
 use super::{
     Demo, DemoArgs, Drive, Ended, INTERRUPTED, NotStarted,
-    files::{BoardFigures, DEMO, RECORD, SIMULATION, private, write_configuration},
-    settings,
+    report::BoardFigures,
+    settings::{self, DEMO, RECORD, private, write_configuration},
 };
 use crate::Result;
 
@@ -36,7 +35,6 @@ pub(super) fn real_time(demo: &Demo<'_>) -> Result<Drive> {
     let args = demo.args;
     let private = private()?;
     let simulation = settings::simulation(args)?;
-    write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
     let config = settings::daemon(args)?;
     let front_axle_distance_m = config.vehicle.front_axle_distance_m;
     let simulator = settings::simulator(simulation, None, private.path())?;
@@ -198,7 +196,6 @@ pub(super) fn stop(daemons: &[&Daemon]) -> Result<()> {
 pub(super) fn virtual_time(demo: &Demo<'_>) -> Result<Drive> {
     let args = demo.args;
     let simulation = settings::simulation(args)?;
-    write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
     let config = settings::daemon(args)?;
     write_configuration(args, DEMO, &config)?;
     let front_axle_distance_m = config.vehicle.front_axle_distance_m;

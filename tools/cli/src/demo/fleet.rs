@@ -25,8 +25,7 @@ use singletrack_sim::{SharedFloor, StartPose};
 use super::{
     Demo, DemoArgs, INTERRUPTED,
     drive::{arm, stop, viewers},
-    files::{SUMMARY, not_made, private, record_of, write_configuration},
-    settings,
+    settings::{self, SUMMARY, not_made, private, record_of, write_configuration},
 };
 use crate::Result;
 

@@ -2,7 +2,6 @@
 //! or, where the computer can't keep it, in virtual time.
 
 mod drive;
-mod files;
 mod fleet;
 mod report;
 mod settings;
@@ -17,7 +16,8 @@ use singletrack_sim::{BoardKind, LossPattern, TimedTruth, Truth};
 use singletrackd::Summary;
 
 use crate::{Result, arguments::duration_within, interrupt::Interrupt, progress::progress_bar};
-use files::{BoardFigures, MAX_CARS, prepare};
+use report::BoardFigures;
+use settings::{MAX_CARS, prepare};
 
 /// Options of `singletrack demo`.
 #[derive(Clone, Debug, Args)]
@@ -127,7 +127,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
                      on in virtual time, which --virtual asks for"
                 );
                 demo.bar.suspend(|| eprintln!("{note}"));
-                files::clear(&args.out)?;
+                settings::clear(&args.out)?;
                 drive::virtual_time(&demo)?
             }
             _ => driven?,

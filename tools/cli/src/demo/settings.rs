@@ -1,23 +1,27 @@
-//! The demo's world and the daemon's configuration.
+//! The demo's folder and its files, its world, and the daemon's configuration.
 
 use std::{
+    fs::{File, TryLockError},
+    io,
     net::Ipv4Addr,
     path::{Path, PathBuf},
 };
 
 use serde::Serialize;
 use singletrack_core::config::{Config, OuterLoopSection, ReferenceSection, Start};
+use singletrack_figures::{
+    output::{WriteError, make_folder, write},
+    plot::{ANIMATION, FigureKind, REPORT},
+};
 use singletrack_scenario::simulated::{self, daemon_config};
 use singletrack_sim::{
     CarTruth, RealTimeConfig, RealTimeSimulator, SharedFloor, SimulationConfig, StartPose, Truth,
     UdpConfig,
 };
 use singletrackd::{Daemon, StartOptions};
+use tempfile::TempDir;
 
-use super::{
-    Car, DemoArgs,
-    files::{record_of, write_configuration},
-};
+use super::{Car, DemoArgs};
 use crate::Result;
 
 /// The paper's circle: radius in m, angular velocity in rad/s.
@@ -58,6 +62,7 @@ impl Car {
     }
 }
 
+/// The simulated world, and writes it into the folder.
 pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig> {
     let mut config = SimulationConfig {
         seed: args.seed,
@@ -73,6 +78,7 @@ pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig> {
     };
     config.cameras.loss = args.loss;
     config.board.kind = args.board;
+    write(&args.out.join(SIMULATION), &toml::to_string(&config)?)?;
     Ok(config)
 }
 
@@ -196,6 +202,104 @@ pub(super) fn point(truth: &Truth, front_axle_distance_m: f64) -> [f64; 2] {
 pub(super) fn tracking_error([x, y]: [f64; 2], time: f64) -> f64 {
     let [x_ref, y_ref] = reference(time);
     libm::hypot(x - x_ref, y - y_ref)
+}
+
+/// The files of a demo; those of its one car are named `DEMO`.
+pub(super) const DEMO: &str = "demo";
+pub(super) const RECORD: &str = "demo.mcap";
+pub(super) const CONFIGURATION: &str = "demo.toml";
+pub(super) const SIMULATION: &str = "simulation.toml";
+pub(super) const SUMMARY: &str = "summary.json";
+/// The most cars of a demo.
+pub(super) const MAX_CARS: usize = 20;
+
+/// The record of a car with this name.
+pub(super) fn record_of(args: &DemoArgs, name: &str) -> PathBuf {
+    args.out.join(format!("{name}.mcap"))
+}
+
+/// Writes the configuration of the daemon of a car with this name.
+pub(super) fn write_configuration(args: &DemoArgs, name: &str, config: &Config) -> Result<()> {
+    let path = args.out.join(format!("{name}.toml"));
+    Ok(write(&path, &config.to_toml()?)?)
+}
+
+/// A folder.
+pub(super) const FIGURES: &str = "figures";
+
+/// Makes the folder of a demo its own until the result is dropped; removes what an earlier one left
+/// there.
+///
+/// # Errors
+///
+/// It holds something else, or another demo writes to it.
+pub(super) fn prepare(folder: &Path) -> Result<File> {
+    make_folder(folder)?;
+    let failed = || WriteError::of(folder);
+    let own = File::open(folder).map_err(failed())?;
+    match own.try_lock() {
+        Err(TryLockError::WouldBlock) => {
+            let folder = folder.display();
+            return Err(
+                format!("another demo writes to {folder}: give another folder with --out").into(),
+            );
+        }
+        locked => locked.map_err(|error| failed()(error.into()))?,
+    }
+    let known = files();
+    for entry in std::fs::read_dir(folder).map_err(failed())? {
+        let name = entry.map_err(failed())?.file_name();
+        if name != FIGURES && !known.iter().any(|file| file.as_os_str() == name) {
+            return Err(format!(
+                "{} holds {}, which no demo has written: give another folder with --out",
+                folder.display(),
+                name.display()
+            )
+            .into());
+        }
+    }
+    clear(folder)?;
+    Ok(own)
+}
+
+/// A folder for sockets and ports, which is removed when the result is dropped.
+pub(super) fn private() -> Result<TempDir, String> {
+    let folder = tempfile::Builder::new().prefix("singletrack-").tempdir();
+    folder.map_err(|error| not_made(&error))
+}
+
+/// A temporary folder can't be made.
+pub(super) fn not_made(error: &io::Error) -> String {
+    format!("can't make a temporary folder: {error}")
+}
+
+/// Removes what a demo has written.
+pub(super) fn clear(folder: &Path) -> Result<(), WriteError> {
+    let figures = FigureKind::ALL.map(|kind| Path::new(FIGURES).join(kind.file_name()));
+    for file in files().into_iter().chain(figures) {
+        match std::fs::remove_file(folder.join(file)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(WriteError::of(folder)(error));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// The files of a demo, besides the figures.
+fn files() -> Vec<PathBuf> {
+    let cars = (1..=MAX_CARS).map(|number| format!("car{number}.mcap"));
+    let records = cars.chain([RECORD.to_owned()]).map(PathBuf::from);
+    let of_records = records.flat_map(|it| {
+        [
+            singletrack_record::part_path(&it),
+            it.with_extension("toml"),
+            it,
+        ]
+    });
+    let others = [SIMULATION, SUMMARY, REPORT, ANIMATION].map(PathBuf::from);
+    others.into_iter().chain(of_records).collect()
 }
 
 #[cfg(test)]
