@@ -20,7 +20,6 @@ mod control_command;
 mod daemon;
 mod demo_command;
 mod fleet_command;
-mod import_command;
 #[allow(dead_code, reason = "other tests use the rest")]
 #[path = "../../figures/tests/picture/mod.rs"]
 mod picture;
@@ -28,7 +27,7 @@ mod plot_animation;
 mod plot_command;
 mod pty;
 mod recorded;
-mod recover_command;
+mod records_command;
 mod replay_command;
 mod setpoint_command;
 mod simulate_command;
