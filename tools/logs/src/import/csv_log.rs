@@ -139,7 +139,7 @@ impl<'a> Clock<'a> {
     fn time(&mut self, row: &Row<'_>) -> Result<i64, ImportError> {
         let cell = row.cell(self.place);
         let unit = self.section.unit.unwrap_or_default();
-        let time = scaled(cell, unit.exponent()).ok_or_else(|| {
+        let time = scaled(cell, unit as i32).ok_or_else(|| {
             let fix = "correct the cell, remove the row, or name another time.column in the map";
             let fix = comma_fix(cell).unwrap_or(fix);
             let why = format!(" is not a time as a decimal number: {fix}");

@@ -382,34 +382,22 @@ pub struct TimeSection {
 /// The longest time between two rows, in s, unless the map says another one.
 const LONGEST_PAUSE_S: f64 = 10.0;
 
-/// The unit of a time.
+/// The unit of a time, with the power of ten by which a number in it is multiplied to be in ns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 pub enum TimeUnit {
     /// Seconds.
     #[default]
     #[serde(rename = "s")]
-    Seconds,
+    Seconds = 9,
     /// Milliseconds.
     #[serde(rename = "ms")]
-    Milliseconds,
+    Milliseconds = 6,
     /// Microseconds.
     #[serde(rename = "us")]
-    Microseconds,
+    Microseconds = 3,
     /// Nanoseconds.
     #[serde(rename = "ns")]
-    Nanoseconds,
-}
-
-impl TimeUnit {
-    /// The power of ten by which a number in this unit is multiplied to be in ns.
-    pub(in crate::import) const fn exponent(self) -> i32 {
-        match self {
-            Self::Seconds => 9,
-            Self::Milliseconds => 6,
-            Self::Microseconds => 3,
-            Self::Nanoseconds => 0,
-        }
-    }
+    Nanoseconds = 0,
 }
 
 impl TimeSection {
