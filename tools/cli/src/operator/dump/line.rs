@@ -1,7 +1,7 @@
 //! Frames on the line itself, whole and broken ones: from a serial port, or from a capture of its
 //! bytes.
 
-use std::{borrow::Cow, fs::File, io, os::fd::AsFd, task::Poll, thread, vec};
+use std::{borrow::Cow, fs::File, io, os::fd::AsFd, path::Path, task::Poll, thread, vec};
 
 use rustix::io::Errno;
 use singletrack_protocol::{
@@ -166,22 +166,26 @@ pub(super) struct Line<'a> {
 impl<'a> Line<'a> {
     /// The frames of `kinds`, which are those of the line: from a serial port, which is never written
     /// to, from a capture, or from standard input.
-    pub(super) fn open(place: &Place, args: &DumpArgs, kinds: &'a [Kind]) -> Result<Self> {
-        let name = place.to_string();
+    pub(super) fn open(
+        (place, path): (Place, &Path),
+        args: &DumpArgs,
+        kinds: &'a [Kind],
+    ) -> Result<Self> {
+        let name = path.display().to_string();
         let failed = |error: io::Error| unreadable(&name, &error);
         let input: Box<dyn AsFd> = match place {
             // The half that writes is closed unused.
-            Place::Serial(path) => Box::new(serial_port::open(path, args.baud)?.0),
-            Place::Raw(path) => Box::new(File::open(path).map_err(failed)?),
+            Place::Serial => Box::new(serial_port::open(path, args.baud)?.0),
+            Place::Raw => Box::new(File::open(path).map_err(failed)?),
             _ => Box::new(io::stdin()),
         };
         Ok(Self {
             name,
             input,
-            start: matches!(place, Place::Serial(_)).then(now),
+            start: (place == Place::Serial).then(now),
             board: None,
             kinds,
-            follow: args.follow && matches!(place, Place::Raw(_)),
+            follow: args.follow && place == Place::Raw,
             received: Vec::new().into_iter(),
             ended: false,
             decoder: Decoder::new(),

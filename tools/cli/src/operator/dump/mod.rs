@@ -153,7 +153,7 @@ pub fn run(args: &DumpArgs) -> Result<()> {
     let stdout = io::stdout();
     let is_terminal = stdout.is_terminal();
     // Thousands of rows are of no use to a person.
-    let brief = is_terminal && args.is_bare() && matches!(Place::of(args), Place::Record(_));
+    let brief = is_terminal && args.is_bare() && Place::of(args).0 == Place::Record;
     let format = args.format.unwrap_or(if args.stats || is_terminal {
         Format::Table
     } else {
@@ -177,9 +177,9 @@ pub fn dump(args: &DumpArgs, format: Format, brief: bool, mut output: impl Write
     if counts && format == Format::Csv {
         return Err("--stats has no csv: use --format table or --format json".into());
     }
-    let place = Place::of(args);
-    let name = place.to_string();
-    let of_record = matches!(place, Place::Record(_) | Place::Live);
+    let (place, path) = Place::of(args);
+    let name = path.display().to_string();
+    let of_record = matches!(place, Place::Record | Place::Live);
     let mut kinds = if of_record {
         Kind::topics()
     } else {
@@ -197,14 +197,14 @@ pub fn dump(args: &DumpArgs, format: Format, brief: bool, mut output: impl Write
         .then(|| Printer::new(&mut output, format, kinds, &args.fields))
         .transpose()?;
     // A port may reset its board when it is opened. A record says which times it has.
-    if !matches!(place, Place::Record(_)) {
+    if place != Place::Record {
         select::check_order(args)?;
     }
     let mut filter = Filter::new(kinds, &args.conditions)?;
-    let mut source: Box<dyn Source + '_> = match &place {
-        Place::Record(path) => Box::new(Record::open(path, kinds, args.follow)?),
+    let mut source: Box<dyn Source + '_> = match place {
+        Place::Record => Box::new(Record::open(path, kinds, args.follow)?),
         Place::Live => Box::new(Live::connect(&args.control.socket, kinds)?),
-        line => Box::new(Line::open(line, args, kinds)?),
+        line => Box::new(Line::open((line, path), args, kinds)?),
     };
     let source = source.as_mut();
     filter.range = select::range(args, &source.about(), &name)?;

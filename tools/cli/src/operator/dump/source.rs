@@ -2,7 +2,6 @@
 //! [`Line`](super::line).
 
 use std::{
-    fmt,
     fs::File,
     io::Read,
     os::unix::fs::FileTypeExt,
@@ -224,47 +223,34 @@ impl Source for Live {
 }
 
 /// Where rows come from.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
     /// The running daemon.
     Live,
     /// A record.
-    Record(PathBuf),
+    Record,
     /// A serial port.
-    Serial(PathBuf),
+    Serial,
     /// Bytes of the line, in a file.
-    Raw(PathBuf),
+    Raw,
     /// Bytes of the line, on standard input.
     Stdin,
-}
-
-impl fmt::Display for Place {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Live => formatter.write_str("live"),
-            Self::Stdin => formatter.write_str("standard input"),
-            Self::Record(path) | Self::Serial(path) | Self::Raw(path) => {
-                path.display().fmt(formatter)
-            }
-        }
-    }
 }
 
 /// The beginning of every MCAP file.
 const MCAP_MAGIC: [u8; 5] = *b"\x89MCAP";
 
 impl Place {
-    /// The source that the command line names.
-    pub(super) fn of(args: &DumpArgs) -> Self {
+    /// The source that the command line names, and its path or what else it is called.
+    pub(super) fn of(args: &DumpArgs) -> (Self, &Path) {
         let path = match (&args.serial, &args.source) {
-            (Some(port), _) => return Self::Serial(port.clone()),
-            (None, Some(path)) => path,
-            (None, None) => return Self::Stdin,
+            (Some(port), _) => return (Self::Serial, port),
+            (None, Some(path)) if path.as_os_str() != "-" => path,
+            (None, _) => return (Self::Stdin, Path::new("standard input")),
         };
         let name = path.to_string_lossy();
         let place = match path.metadata() {
-            _ if name == "-" => return Self::Stdin,
-            _ if name == "live" => return Self::Live,
+            _ if name == "live" => Self::Live,
             _ if name.ends_with(".mcap") || name.ends_with(".mcap.part") => Self::Record,
             Ok(metadata) if metadata.file_type().is_char_device() => Self::Serial,
             Ok(metadata) if metadata.is_file() && !begins_as_mcap(path) => Self::Raw,
@@ -274,7 +260,7 @@ impl Place {
             // Opening a record reports best why it failed.
             Err(_) => Self::Record,
         };
-        place(path.clone())
+        (place, path)
     }
 }
 
