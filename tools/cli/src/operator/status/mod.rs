@@ -13,7 +13,7 @@ use std::{
 use clap::Args;
 use serde_json::Value;
 use singletrack_api::{
-    Answer, ClientError, Connection, Reply, Request, State, Status, ask, ask_as,
+    Answer, Calibration, ClientError, Connection, Reply, Request, State, Status, ask, ask_as,
 };
 use singletrack_core::reasons::Why;
 
@@ -224,11 +224,8 @@ impl Summary {
             self.link(),
             self.speed(),
         );
-        for (name, text) in [
-            ("tuned", self.tuned()),
-            ("calibration", self.calibration()),
-            ("learned", self.learned()),
-        ] {
+        let names = ["tuned", "calibration", "learned"];
+        for (name, text) in names.into_iter().zip(self.more()) {
             if let Some(text) = text {
                 line += &format!("; {name}: {text}");
             }
@@ -267,16 +264,20 @@ impl Summary {
         let telemetry = format!("telemetry {}", age(self.value(|state| state.board_age_s)));
         lines.push(field("link", self.link(), &telemetry));
         lines.push(field("battery", &self.battery(), ""));
-        for (name, text) in [
-            ("tuned", self.tuned()),
-            ("advice", self.calibration()),
-            ("learned", self.learned()),
-        ] {
+        let names = ["tuned", "advice", "learned"];
+        for (name, text) in names.into_iter().zip(self.more()) {
             if let Some(text) = text {
                 lines.extend(paragraph(columns, name, &text));
             }
         }
         lines
+    }
+
+    /// Tuned values, what the drives say of the calibration, and what live calibration corrects.
+    fn more(&self) -> [Option<String>; 3] {
+        let calibration = self.0.calibration.as_ref();
+        let advice = calibration.and_then(Calibration::line);
+        [self.tuned(), advice, self.learned()]
     }
 
     /// Tuned values that differ from the configuration, and those of the configuration.
@@ -285,11 +286,6 @@ impl Summary {
         let tuning = self.0.state.as_ref()?.tuning()?;
         let [tuned, was] = [&tuning, &tunable.configured].map(in_words);
         Some(format!("{tuned} (configured: {was})"))
-    }
-
-    /// What the drives say of the calibration.
-    fn calibration(&self) -> Option<String> {
-        self.0.calibration.as_ref()?.line()
     }
 
     /// What live calibration corrects, such as "steering gain -12.5 %"; only what is not nothing.
