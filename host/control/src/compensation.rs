@@ -123,7 +123,7 @@ impl Lateral {
 }
 
 /// A lag of first order after `dt` seconds.
-fn lagged(value: f64, target: f64, lag: f64, dt: f64) -> f64 {
+pub(crate) fn lagged(value: f64, target: f64, lag: f64, dt: f64) -> f64 {
     if lag <= 0.0 {
         return target;
     }

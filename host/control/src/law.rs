@@ -6,18 +6,7 @@
 
 use libm::{cos, sin, sincos};
 
-use crate::{Position, VehicleParameters, Velocity, front_point, velocity_point};
-
-/// The motion of the car that the laws measure.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Motion {
-    /// Yaw ψ, in rad.
-    pub yaw: f64,
-    /// Yaw rate r, in rad/s.
-    pub yaw_rate: f64,
-    /// Sideslip β, in rad.
-    pub sideslip: f64,
-}
+use crate::{Motion, Position, VehicleParameters, Velocity, direction};
 
 /// The state is at a singularity of the law, or not finite.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -279,4 +268,49 @@ impl VelocityPointLaw {
             Err(Singularity::NotFinite)
         }
     }
+}
+
+/// Equation 3: the point P, `point_distance` ahead of the front axle in the direction of
+/// the front wheels. The front axle is `front_axle_distance` (`l_f`, true or estimated)
+/// ahead of G. Angles are in rad, distances in m.
+pub fn front_point(
+    centre_of_mass: Position,
+    yaw: f64,
+    steering: f64,
+    front_axle_distance: f64,
+    point_distance: f64,
+) -> Position {
+    centre_of_mass
+        + front_axle_distance * direction(yaw)
+        + point_distance * direction(yaw + steering)
+}
+
+/// Equation 4: the velocity of the point P of [`front_point`], in m/s, when G moves with `speed`
+/// (m/s) and the steering angle changes with `steering_rate` (rad/s).
+pub fn front_point_velocity(
+    law: &FrontPointLaw,
+    motion: &Motion,
+    steering: f64,
+    speed: f64,
+    steering_rate: f64,
+) -> Velocity {
+    let left = |angle: f64| {
+        let (sine, cosine) = sincos(angle);
+        Velocity::new(-sine, cosine)
+    };
+    let turn_of_wheels = motion.yaw_rate + steering_rate;
+    speed * direction(motion.yaw + motion.sideslip)
+        + law.front_axle_distance() * motion.yaw_rate * left(motion.yaw)
+        + law.point_distance() * turn_of_wheels * left(motion.yaw + steering)
+}
+
+/// The appendix: the point P, `point_distance` (m) ahead of G in the direction of the
+/// velocity of G. Angles are in rad.
+pub fn velocity_point(
+    centre_of_mass: Position,
+    yaw: f64,
+    sideslip: f64,
+    point_distance: f64,
+) -> Position {
+    centre_of_mass + point_distance * direction(yaw + sideslip)
 }

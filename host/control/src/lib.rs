@@ -39,7 +39,6 @@ mod mpc;
 mod neighbours;
 mod number;
 mod outer_loop;
-mod point;
 mod reference;
 mod riccati;
 mod safety_filter;
@@ -49,7 +48,6 @@ pub mod statistics;
 mod steering_map;
 mod stop;
 mod tracking;
-mod vehicle;
 mod words;
 
 pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
@@ -63,10 +61,13 @@ pub use convex_area::{AreaError, ConvexArea, MAX_AREA_CORNERS, Side};
 pub use estimator::{CarPose, Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
 pub use governor::{Governor, GovernorConfig, Room, SlowedBy};
 pub use law::{
-    FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
-    VelocityPointLaw,
+    FrontPointCommand, FrontPointLaw, LawError, Singularity, VelocityPointCommand,
+    VelocityPointLaw, front_point, front_point_velocity, velocity_point,
 };
-pub use measurement::{Covariance, Estimate, InertialSample, PoseSample, Time};
+pub use measurement::{
+    Covariance, Estimate, InertialSample, Motion, PoseSample, Position, Time, Velocity,
+    angle_between, direction, unwrap_near, wrap,
+};
 pub use mpc::{DelayedMpc, MAX_DELAY_TICKS, MPC_STAGES, MpcConfig, MpcError, MpcLoop, MpcVerdict};
 pub use neighbours::{
     Expected, MAX_NEIGHBOURS, NeighbourConfig, NeighbourSample, NeighbourSides, Neighbours,
@@ -74,10 +75,6 @@ pub use neighbours::{
 pub use number::{Functions, Libm, Number};
 pub use outer_loop::{
     LqiAxis, LqiConfig, LqiError, LqiLoop, OpenLoop, OuterLoop, ProportionalLoop, TrackingInput,
-};
-pub use point::{
-    Position, Velocity, angle_between, direction, front_point, front_point_velocity, unwrap_near,
-    velocity_point, wrap,
 };
 pub use reference::{
     Circle, External, FigureOfEight, MAX_PATH_POINTS, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Path,
@@ -94,12 +91,12 @@ pub use setpoint::{
     SteeringDemand, Trajectory, TrajectoryPiece, TrajectoryPoint,
 };
 pub use single_track::{
-    AxleForces, Axles, LateralMotion, LateralRate, RelaxedSingleTrack, SingleTrack,
-    SingleTrackDerivative, SingleTrackState, SlipAngles, Tyres,
+    AxleForces, Axles, GRAVITY, LateralMotion, LateralRate, RelaxedSingleTrack, SingleTrack,
+    SingleTrackDerivative, SingleTrackState, SlipAngles, Tyres, VehicleParameterError,
+    VehicleParameters,
 };
 pub use steering_map::{
     MAX_STEERING_PAIRS, SteeringMap, SteeringTable, SteeringTableError, interpolate,
 };
 pub use stop::{Stop, along_bend};
 pub use tracking::TrackingLoop;
-pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};

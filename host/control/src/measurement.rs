@@ -1,6 +1,9 @@
-//! Times, measurements of the car, and the state that is estimated from them.
+//! Times, places and directions; measurements of the car, and the state that is estimated from them.
 
-use crate::{Motion, Position};
+use core::f64::consts::{PI, TAU};
+
+use libm::{floor, sincos};
+use nalgebra::{Point2, Vector2};
 
 /// Nanoseconds on the host's monotonic clock (`CLOCK_MONOTONIC` in the daemon,
 /// simulated time elsewhere).
@@ -33,6 +36,12 @@ impl Time {
     }
 }
 
+/// A position on the floor, world frame, in m.
+pub type Position = Point2<f64>;
+
+/// A velocity or displacement on the floor, world frame, in m/s or m.
+pub type Velocity = Vector2<f64>;
+
 /// A valid pose of the rigid body, from the motion capture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseSample {
@@ -60,6 +69,17 @@ pub struct InertialSample {
     pub forward_acceleration: f64,
     /// Acceleration to the left, without gravity, in m/s².
     pub left_acceleration: f64,
+}
+
+/// The motion of the car that the laws measure.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
+    /// Yaw ψ, in rad.
+    pub yaw: f64,
+    /// Yaw rate r, in rad/s.
+    pub yaw_rate: f64,
+    /// Sideslip β, in rad.
+    pub sideslip: f64,
 }
 
 /// The estimated state of the car at a time.
@@ -103,5 +123,56 @@ impl Estimate {
     /// Age of the last accepted pose at the estimate's time, in s.
     pub fn pose_age(&self) -> f64 {
         self.time.seconds_since(self.pose_time)
+    }
+}
+
+/// The unit vector at `angle` from the world's x axis, in rad.
+pub fn direction(angle: f64) -> Vector2<f64> {
+    let (sine, cosine) = sincos(angle);
+    Vector2::new(cosine, sine)
+}
+
+/// The counter-clockwise angle from `from` to `to`, in (-π, π], in rad.
+pub fn angle_between(from: &Vector2<f64>, to: &Vector2<f64>) -> f64 {
+    libm::atan2(from.perp(to), from.dot(to))
+}
+
+/// The angle wrapped to [-π, π), in rad.
+#[must_use]
+pub fn wrap(angle: f64) -> f64 {
+    angle - TAU * floor((angle + PI) / TAU)
+}
+
+/// The angle nearest to `reference` that differs from `wrapped` by whole turns, in rad.
+#[must_use]
+pub fn unwrap_near(wrapped: f64, reference: f64) -> f64 {
+    reference + wrap(wrapped - reference)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wrapping_keeps_the_direction_and_stays_within_half_a_turn() {
+        for turn in -3..=3 {
+            for tenth in 0..63 {
+                let angle = f64::from(tenth) * 0.1 + f64::from(turn) * TAU;
+                let wrapped = wrap(angle);
+                assert!((-PI..PI).contains(&wrapped));
+                assert!((libm::sin(wrapped) - libm::sin(angle)).abs() < 1e-12);
+                assert!((libm::cos(wrapped) - libm::cos(angle)).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn unwrapping_follows_a_car_that_turns_more_than_once() {
+        let mut yaw = 0.0;
+        for step in 0..1000 {
+            let truth = 0.05 * f64::from(step);
+            yaw = unwrap_near(wrap(truth), yaw);
+            assert!((yaw - truth).abs() < 1e-9);
+        }
     }
 }

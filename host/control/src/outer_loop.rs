@@ -147,7 +147,7 @@ impl LqiAxis {
 }
 
 /// What of a velocity is left after `period` (s) with a lag of `lag` (s).
-fn decay(lag: f64, period: f64) -> f64 {
+pub(crate) fn decay(lag: f64, period: f64) -> f64 {
     if lag > 0.0 { exp(-period / lag) } else { 0.0 }
 }
 

@@ -124,7 +124,7 @@ impl<const N: usize, const M: usize> QuadraticRegulator<N, M> {
 ///
 /// nalgebra hands larger products to kernels that use what the processor offers, whose bits
 /// differ from machine to machine.
-fn product<const R: usize, const K: usize, const C: usize>(
+pub(crate) fn product<const R: usize, const K: usize, const C: usize>(
     left: &SMatrix<f64, R, K>,
     right: &SMatrix<f64, K, C>,
 ) -> SMatrix<f64, R, C> {
@@ -135,7 +135,8 @@ fn product<const R: usize, const K: usize, const C: usize>(
     })
 }
 
-fn symmetric<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
+/// The symmetric part of a matrix.
+pub(crate) fn symmetric<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
     0.5 * (matrix + matrix.transpose())
 }
 

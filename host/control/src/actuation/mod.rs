@@ -11,8 +11,8 @@ use libm::{atan, atanh, fabs, sqrt, tan};
 
 use crate::{
     GRAVITY, SpeedDemand, SteeringDemand, VehicleParameters,
-    law::{FrontPointLaw, Motion, Singularity},
-    point::{Velocity, angle_between, direction, front_point_velocity},
+    law::{FrontPointLaw, Singularity, front_point_velocity},
+    measurement::{Motion, Velocity, angle_between, direction},
 };
 
 /// Limits of speed, acceleration and steering, in SI units and radians.

@@ -18,19 +18,16 @@
 //! constant. Tyres are those of the configured vehicle, in small angles as in equation 1: exact
 //! slip angles change the gain by up to 1.7 %.
 
-mod regression;
-mod window;
+mod equations;
 
-use crate::words;
+pub use equations::student_quantile;
+use equations::{Fit, Means, Regression, Windows, begin, first_open, follows, is_gap};
 use libm::{atanh, fabs, hypot, sincos, sqrt};
 use nalgebra::SVector;
-pub use regression::student_quantile;
-use regression::{Fit, Regression};
-use window::{Means, Windows, begin, first_open, follows, is_gap};
 
 use crate::{
     ActuatorModel, GRAVITY, InertialSample, PoseSample, Position, Predictor, Time,
-    VehicleParameters, wrap,
+    VehicleParameters, words, wrap,
 };
 
 /// Length of a window, s.

@@ -1,13 +1,17 @@
-//! The three filters: what each believes of the steering, and how likely each is.
+//! The three filters: what each believes of the steering, and how likely each is. The front wheels
+//! follow the steering that was sent after a dead time, with a lag of first order.
 
+use heapless::Deque;
 use libm::{exp, fabs, tan};
 
 use super::{
     CarPose, EstimatorConfig,
-    filter::{Filter, Navigation, Prior, Reading},
-    wheels::Sent,
+    filter::{Filter, Navigation, Prior, Reading, Wheels},
 };
-use crate::measurement::{InertialSample, Time};
+use crate::{
+    compensation::lagged,
+    measurement::{InertialSample, Time},
+};
 
 /// A sample that is older than the filter's state by more than this no longer counts, s.
 const OLDEST_SAMPLE: f64 = 0.05;
@@ -63,6 +67,84 @@ const OUTLYING: f64 = 9.0;
 
 /// The time constant of the accelerometer's mean error, s.
 const BIAS_TIME: f64 = 20.0;
+
+/// The commands kept: more than the largest lag of the filter at the shortest period.
+const COMMANDS: usize = 128;
+
+/// From when on the wheels go to an angle, and from where.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Command {
+    from: Time,
+    angle: f64,
+    target: f64,
+}
+
+/// The steering that was sent.
+#[derive(Clone, Debug)]
+pub(super) struct Sent {
+    dead_time: f64,
+    lag: f64,
+    commands: Deque<Command, COMMANDS>,
+}
+
+impl Sent {
+    /// Straight wheels. Both times are in s.
+    pub(super) const fn new(dead_time: f64, lag: f64) -> Self {
+        Self {
+            dead_time,
+            lag,
+            commands: Deque::new(),
+        }
+    }
+
+    /// The steering angle `steering` (rad) is sent at `now`.
+    pub(super) fn send(&mut self, now: Time, steering: f64) {
+        let from = now.after(self.dead_time);
+        let angle = match self.commands.back() {
+            Some(last) if last.target == steering || last.from >= from => return,
+            Some(last) => self.angle(last, from),
+            None => steering,
+        };
+        if self.commands.is_full() {
+            self.commands.pop_front();
+        }
+        // There is room.
+        let _ = self.commands.push_back(Command {
+            from,
+            angle,
+            target: steering,
+        });
+    }
+
+    /// The angle of the wheels at a time, rad.
+    pub(super) fn at(&self, time: Time) -> f64 {
+        let command = self.commands.iter().rev().find(|it| it.from <= time);
+        match (command, self.commands.front()) {
+            (Some(command), _) => self.angle(command, time),
+            (None, Some(first)) => first.angle,
+            (None, None) => 0.0,
+        }
+    }
+
+    fn angle(&self, command: &Command, time: Time) -> f64 {
+        let since = time.seconds_since(command.from);
+        lagged(command.angle, command.target, self.lag, since)
+    }
+
+    /// The wheels from a time to another.
+    fn between(&self, from: Time, to: Time) -> Wheels {
+        let [before, after] = [from, to].map(|time| tan(self.at(time)));
+        let elapsed = to.seconds_since(from);
+        Wheels {
+            tangent: 0.5 * (before + after),
+            change: if elapsed > 0.0 {
+                (after - before) / elapsed
+            } else {
+                0.0
+            },
+        }
+    }
+}
 
 /// An inertial sample and the motor speed of the same telemetry.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -268,9 +350,8 @@ mod tests {
     use super::*;
     use crate::{
         estimator::{Estimator, PoseVerdict},
-        measurement::PoseSample,
-        point::Position,
-        vehicle::VehicleParameters,
+        measurement::{PoseSample, Position},
+        single_track::VehicleParameters,
     };
 
     /// An estimator of a car that stands, and its time.

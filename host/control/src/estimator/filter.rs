@@ -10,8 +10,8 @@
 use libm::{exp, fabs, log, sincos};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use super::{CarPose, EstimatorConfig, wheels::Wheels};
-use crate::point::unwrap_near;
+use super::{CarPose, EstimatorConfig};
+use crate::measurement::unwrap_near;
 
 /// Position of G, world frame, m.
 const X: usize = 0;
@@ -137,6 +137,15 @@ pub(super) struct Reading {
     pub(super) age: f64,
     /// The tangent of the front wheels' angle at its time.
     pub(super) tangent: f64,
+}
+
+/// How the front wheels stand in the middle of a step, and how they turn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Wheels {
+    /// Tangent of their angle.
+    pub(super) tangent: f64,
+    /// Its change, 1/s.
+    pub(super) change: f64,
 }
 
 /// The motion by a filter, with covariances.

@@ -12,22 +12,19 @@
 
 mod bank;
 mod filter;
-mod wheels;
 
-use crate::words;
 use heapless::Deque;
 use libm::{atan, atan2, hypot, tan};
 use nalgebra::Vector3;
 
 use self::{
-    bank::{Bank, SAMPLE_PERIOD, Sample},
+    bank::{Bank, SAMPLE_PERIOD, Sample, Sent},
     filter::{Filter, Navigation},
-    wheels::Sent,
 };
 use crate::{
-    measurement::{Covariance, Estimate, InertialSample, PoseSample, Time},
-    point::{Position, direction},
-    vehicle::VehicleParameters,
+    measurement::{Covariance, Estimate, InertialSample, PoseSample, Position, Time, direction},
+    single_track::VehicleParameters,
+    words,
 };
 
 words! {

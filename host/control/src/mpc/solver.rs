@@ -6,12 +6,13 @@
 //! projection of each stage by itself. So an iteration has a fixed cost, and the number of
 //! iterations is fixed too.
 
-use libm::{exp, sqrt};
-use nalgebra::{SMatrix, SVector};
+use libm::sqrt;
+use nalgebra::{RowSVector, SMatrix, SVector};
 
 use crate::{
     ConvexArea, Position, Velocity,
-    riccati::{QuadraticRegulator, RiccatiError},
+    outer_loop::decay,
+    riccati::{QuadraticRegulator, RiccatiError, product, symmetric},
 };
 
 /// A lag of first order, sampled.
@@ -27,14 +28,9 @@ pub(super) struct Lag {
 
 impl Lag {
     pub(super) fn new(time_constant: f64, step: f64) -> Self {
-        let kept = if time_constant > 0.0 {
-            exp(-step / time_constant)
-        } else {
-            0.0
-        };
         Self {
             time_constant,
-            kept,
+            kept: decay(time_constant, step),
             step,
         }
     }
@@ -183,7 +179,7 @@ pub(super) struct Solver<const N: usize, const H: usize> {
 /// What the Riccati recursion gives for a stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Stage<const N: usize> {
-    gain: [f64; N],
+    gain: RowSVector<f64, N>,
     /// 1/(R + B'PB), with P of the stage after.
     inverse: f64,
 }
@@ -212,27 +208,21 @@ impl<const N: usize, const H: usize> Solver<N, H> {
         penalty[(COMMAND, COMMAND)] = penalties.command;
 
         let mut stages = [Stage {
-            gain: [0.0; N],
+            gain: RowSVector::zeros(),
             inverse: 0.0,
         }; H];
         let mut cost = terminal + penalty;
         for stage in stages.iter_mut().rev() {
-            let onto = times(&cost, &axis.input);
+            let onto = product(&cost, &axis.input);
             let input_weight = weights.acceleration + penalties.acceleration;
-            let inverse = 1.0 / (input_weight + dot(&axis.input.into(), &onto));
-            let gain: [f64; N] = core::array::from_fn(|column| {
-                inverse * dot(&onto, &axis.transition.column(column).into_owned().into())
-            });
+            let inverse = 1.0 / (input_weight + product(&axis.input.transpose(), &onto)[0]);
+            let gain = inverse * product(&onto.transpose(), &axis.transition);
             let closed = SMatrix::<f64, N, N>::from_fn(|row, column| {
                 axis.transition[(row, column)] - axis.input[row] * gain[column]
             });
             *stage = Stage { gain, inverse };
-            let kept = SMatrix::<f64, N, N>::from_fn(|row, column| {
-                let after = times(&cost, &closed.column(column).into_owned());
-                dot(&axis.transition.column(row).into_owned().into(), &after)
-            });
-            cost = kept + state_weight + penalty;
-            cost = 0.5 * (cost + cost.transpose());
+            let kept = product(&axis.transition.transpose(), &product(&cost, &closed));
+            cost = symmetric(&(kept + state_weight + penalty));
         }
         Ok(Self {
             axis,
@@ -394,19 +384,4 @@ pub(super) fn shorten(vector: &Velocity, most: f64) -> Velocity {
     } else {
         shortened * (1.0 - f64::EPSILON)
     }
-}
-
-fn dot<const N: usize>(one: &[f64; N], other: &[f64; N]) -> f64 {
-    (0..N).fold(0.0, |sum, index| sum + one[index] * other[index])
-}
-
-fn times<const N: usize>(
-    matrix: &SMatrix<f64, N, N>,
-    vector: &nalgebra::SVector<f64, N>,
-) -> [f64; N] {
-    core::array::from_fn(|row| {
-        (0..N).fold(0.0, |sum, column| {
-            sum + matrix[(row, column)] * vector[column]
-        })
-    })
 }

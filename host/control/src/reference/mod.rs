@@ -6,10 +6,9 @@ mod simple;
 
 use core::{array, f64::consts::TAU};
 
-use crate::words;
 use libm::fabs;
 
-use crate::{Demand, Position, Time, Velocity, direction};
+use crate::{Demand, Position, Time, Velocity, direction, words};
 
 pub use external::External;
 pub use path::{MAX_PATH_POINTS, Path, PathSpeed};

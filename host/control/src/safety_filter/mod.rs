@@ -10,13 +10,13 @@
 //! has proved to stay inside. `docs/safety-filter.md` states the claim with its assumptions.
 
 mod projection;
-mod room;
+
+use core::f64::consts::TAU;
 
 use heapless::Vec;
 use libm::{atan, cos, fabs, sin, sqrt, tan};
 
 use self::projection::{HalfPlane, MOST, nearest};
-pub use self::room::{ROOM_DIRECTIONS, StopBox};
 use crate::{
     Actuation, ConvexArea, Estimate, GRAVITY, LimitedLaw, Position, Side, Singularity, Stop,
     Velocity, direction,
@@ -36,6 +36,10 @@ const SLOWER: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 /// How much earlier steering and speed from outside are scaled than a stop must begin, s: they
 /// have no stage that makes the filter gentle.
 const EARLY: f64 = 0.1;
+
+/// The number of directions towards which the room is known, the first one ahead, in equal steps
+/// to the left.
+pub const ROOM_DIRECTIONS: usize = 12;
 
 /// What the [`SafetyFilter`] rests on.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,6 +104,25 @@ pub struct SafetyInput<'a> {
     pub period: f64,
     /// What keeps the car apart from other bodies in this tick: sides of its area too.
     pub neighbours: &'a [Side],
+}
+
+/// States of a car that goes forward, by the worst of each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StopBox {
+    /// The largest of the estimated, measured and commanded speeds, with its error, m/s.
+    pub speed: f64,
+    /// The way since the last pose, m.
+    pub blind: f64,
+    /// The least deceleration of a stop, m/s².
+    pub braking: f64,
+    /// The control period, s.
+    pub period: f64,
+    /// The distance from the centre of mass to the rear axle, m.
+    pub rear_axle_distance: f64,
+    /// The angles between which the wheels may stand until they have settled, rad.
+    pub before: [f64; 2],
+    /// The angles between which they may be sent in this tick, rad.
+    pub sent: [f64; 2],
 }
 
 /// What the filter made of a velocity, in m/s, or of steering and speed from outside, of which it leaves
@@ -465,6 +488,33 @@ impl SafetyFilter {
                 * (1.0 + ROUNDED),
             then: wheels(then),
         }
+    }
+
+    /// How far from a side of its area the filter wants the estimated position for a stop, m, for a
+    /// side in each direction from the heading. The measured curvature and the estimated sideslip
+    /// are those of angles between which the wheels may stand.
+    pub fn room(&self, states: &StopBox) -> [f64; ROOM_DIRECTIONS] {
+        let curvatures = |[least, most]: [f64; 2]| self.curvatures(Range { least, most });
+        let first = curvatures(states.before);
+        let sideslip = |curvature| atan(states.rear_axle_distance * curvature);
+        let start = Start {
+            position: Position::origin(),
+            yaw: 0.0,
+            sideslips: first.map(sideslip),
+            pace: states.speed,
+            blind: states.blind,
+            stop: Stop {
+                reaction: self.config.reaction + states.period,
+                braking: states.braking,
+            },
+            period: states.period,
+            of_rear: states.rear_axle_distance,
+        };
+        let ways = self.ways(&start, &first, &curvatures(states.sent));
+        core::array::from_fn(|index| {
+            let outward = direction(TAU * index as f64 / ROOM_DIRECTIONS as f64);
+            ways.room(&outward, self.config.position_error)
+        })
     }
 
     /// The centre of mass's distance from the nearest side, m; negative outside.
