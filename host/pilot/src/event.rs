@@ -1,8 +1,7 @@
 //! The inputs of a tick: everything that reached the pilot since the last one.
 
-use singletrack_control::words;
 use singletrack_control::{
-    InertialSample, NeighbourSample, PoseSample, Setpoint, Time, TrajectoryPiece,
+    InertialSample, NeighbourSample, PoseSample, Setpoint, Time, TrajectoryPiece, words,
 };
 
 use crate::{learned::Learned, tuning::Tuning};

@@ -2,11 +2,10 @@
 //! which are obstacles of the drive.
 
 use libm::fabs;
-use singletrack_control::words;
 use singletrack_control::{
     Actuation, Ahead, Estimate, Expected, Filtered, LimitedLaw, Motion, NeighbourConfig,
     NeighbourSample, NeighbourSides, Neighbours, SafetyFilter, SafetyInput, Singularity,
-    SpeedDemand, SteeringDemand, Time, Velocity,
+    SpeedDemand, SteeringDemand, Time, Velocity, words,
 };
 
 use super::{Output, Pilot};

@@ -7,8 +7,7 @@ use singletrack_control::{
     SetpointError, Time,
 };
 
-use super::interface::SetpointRefusal;
-use super::{Begins, Pilot, PilotConfig};
+use super::{Begins, Pilot, PilotConfig, SetpointRefusal};
 use crate::{
     event::{Arming, BoardSample, Event, PilotRequest},
     supervisor::Reason,
@@ -78,7 +77,7 @@ impl Pilot {
     }
 
     fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
-        self.watches.observe_pose(pose, &self.config);
+        self.watches.frozen.pose(pose, &self.config.watch);
         let verdict = self.estimator.handle_pose(pose);
         if verdict == PoseVerdict::Accepted {
             self.pose_time = Some(pose.capture);
@@ -121,9 +120,7 @@ impl Pilot {
             (None, _) => {}
         }
     }
-}
 
-impl Pilot {
     /// Takes over new values. Whoever sent them has checked them; values that the configuration
     /// in force does not allow have no effect, all together.
     fn tune(&mut self, tuning: &Tuning) {
@@ -290,9 +287,7 @@ impl Pilot {
             commanded_speed,
         }
     }
-}
 
-impl Pilot {
     /// The estimate with the yaw rate of the gyro alone, less its bias: what the steering says of the
     /// yaw rate is in the estimate, which is no witness against it.
     pub(super) fn witnessed(&self, now: Time, estimate: &Estimate) -> Estimate {

@@ -26,7 +26,7 @@ pub(super) struct Watches {
     pub(super) drive: DriveWatches,
     /// The comparison of the sensors; only in a drive of an unproved configuration.
     pub(super) proving: Option<Proving>,
-    frozen: FrozenWatch,
+    pub(super) frozen: FrozenWatch,
     push: PushWatch,
 }
 
@@ -53,11 +53,6 @@ impl Watches {
     pub(super) fn reset(&mut self) {
         self.drive.speeds = SpeedWatch::default();
         self.steps.reset();
-    }
-
-    /// A pose of the cameras, before the estimator judges it.
-    pub(super) fn observe_pose(&mut self, pose: &PoseSample, config: &PilotConfig) {
-        self.frozen.pose(pose, &config.watch);
     }
 
     /// The pose that the estimator has accepted, in this mode.

@@ -36,10 +36,9 @@
 //! and not kept. A disarm in the same tick wins over an arm.
 
 mod checks;
-mod conditions;
 mod reason;
 
-pub use conditions::{BoardRequest, Conditions, Mode, SupervisorConfig};
+pub use checks::{BoardRequest, Conditions, Mode, SupervisorConfig};
 pub use reason::Reason;
 
 use singletrack_control::Time;
