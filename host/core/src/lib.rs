@@ -25,12 +25,11 @@ mod run {
     pub mod grid;
     pub mod host;
     pub mod line;
+    pub(crate) mod messages;
     pub mod online_calibration;
     pub(crate) mod proof;
     pub(crate) mod queue;
     pub mod reconfigure;
-    pub(crate) mod report;
-    pub(crate) mod requests;
     pub mod serial;
     pub mod setpoint;
     pub mod slot;
@@ -42,9 +41,11 @@ pub use controller::pose_event;
 pub(crate) use explain::diagnosis;
 pub use explain::{certificate, commissioned, feasibility, reasons, top_view};
 pub use host::{Host, HostOptions, VirtualHost};
+pub use run::messages::{
+    ControlRequest, LineCounters, Reconfiguration, Refusal, Report, Requests, Stalled, link_phase,
+};
 pub use run::proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
-pub use run::report::{LineCounters, Report, link_phase, pilot_event};
-pub use run::requests::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled};
+pub use run::queue::pilot_event;
 pub use run::{
     cameras, control_loop, controller, grid, host, line, online_calibration, reconfigure, serial,
     setpoint, slot, state_stream,

@@ -4,10 +4,9 @@
 //!
 //! The types of the mathematics are read as they are; the sections declared here describe them.
 
-use singletrack_control::words;
 use singletrack_control::{
     ActuatorModel, EstimatorConfig, Limits, MarkerLoss, SteeringMap, SteeringTable,
-    VehicleParameters,
+    VehicleParameters, words,
 };
 use singletrack_settings::{Declared as _, Maps as _, ValueError, section};
 

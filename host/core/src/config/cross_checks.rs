@@ -83,7 +83,7 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
          limits.max_speed_m_s and disarms within {disarmed_ms:.0} ms, and must be first; raise it \
          (up to 1000), shorten the hold, lower the speed or brake harder; with 1000 ms this \
          braking (control.stop_deceleration_m_s2) allows {:.2} m/s",
-        fastest_stopped(config)
+        config.fastest_stopped_m_s()
     );
     refuse_if(is_late, "board.max_pose_age_ms", board.max_pose_age_ms, fix)?;
     let ramp = control.stop_deceleration_m_s2;
@@ -143,19 +143,22 @@ fn disarmed_ms(config: &Config, max_speed: f64) -> f64 {
     1_000.0 * (longest_blind_drive(config, max_speed) + seconds(LINE_MS))
 }
 
-/// The highest speed in m/s, rounded down to cm/s, from which the host stops and disarms a car
-/// without markers before any board does: `board.max_pose_age_ms` ends at a second.
-pub(super) fn fastest_stopped(config: &Config) -> f64 {
-    let (mut in_time, mut late) = (0.0, FASTEST);
-    for _ in 0..HALVES {
-        let middle = 0.5 * (in_time + late);
-        if disarmed_ms(config, middle) <= LONGEST_POSE_AGE_MS + ROUNDING {
-            in_time = middle;
-        } else {
-            late = middle;
+impl Config {
+    /// The highest `limits.max_speed_m_s` that the configured braking allows, in m/s, rounded down
+    /// to cm/s: without a pose, the host holds, stops (`control.stop_deceleration_m_s2`) and disarms
+    /// the car within the longest `board.max_pose_age_ms`, a second.
+    pub fn fastest_stopped_m_s(&self) -> f64 {
+        let (mut in_time, mut late) = (0.0, FASTEST);
+        for _ in 0..HALVES {
+            let middle = 0.5 * (in_time + late);
+            if disarmed_ms(self, middle) <= LONGEST_POSE_AGE_MS + ROUNDING {
+                in_time = middle;
+            } else {
+                late = middle;
+            }
         }
+        (100.0 * in_time + ROUNDING).floor() / 100.0
     }
-    (100.0 * in_time + ROUNDING).floor() / 100.0
 }
 
 /// The age of the last pose, in s, at which the disarm request of a car without markers is

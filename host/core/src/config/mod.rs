@@ -11,7 +11,6 @@ mod fence;
 mod motion_capture;
 mod outer_loop;
 mod output;
-mod own_loop;
 mod reference;
 mod supervisor;
 mod tuning;
@@ -44,9 +43,9 @@ pub use motion_capture::{
 };
 pub use outer_loop::{
     CompensationSection, LawKind, LawSection, LoopModel, LqiWeights, MpcWeights, OuterLoopSection,
+    OwnLoop, OwnLoopKind, OwnLoopSection, link_own_loops, own_loops,
 };
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
-pub use own_loop::{OwnLoop, OwnLoopKind, OwnLoopSection, link_own_loops, own_loops};
 pub use reference::{PathPoints, ReferenceSection, StepSection, WaypointSection};
 pub use singletrack_control::{MarkerLoss, Start};
 pub use singletrack_mocap::UpAxis;
@@ -195,13 +194,6 @@ impl Config {
     /// A path is not UTF-8.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         toml::to_string(self)
-    }
-
-    /// The highest `limits.max_speed_m_s` that the configured braking allows, in m/s, rounded down
-    /// to cm/s: without a pose, the host holds, stops (`control.stop_deceleration_m_s2`) and disarms
-    /// the car within the longest `board.max_pose_age_ms`, a second.
-    pub fn fastest_stopped_m_s(&self) -> f64 {
-        cross_checks::fastest_stopped(self)
     }
 
     /// Refuses a configuration that can't be driven with.

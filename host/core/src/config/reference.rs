@@ -11,10 +11,9 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::words;
 use singletrack_control::{
     Circle, External, FigureOfEight, Path as SmoothPath, PathSpeed, Position, Reference, Start,
-    Velocity, VelocityStep, VelocitySteps, Waypoint, Waypoints,
+    Velocity, VelocityStep, VelocitySteps, Waypoint, Waypoints, words,
 };
 use singletrack_settings::{Written, check_kind, seconds, section};
 

@@ -12,15 +12,12 @@ use singletrack_record::{DriveWrite, TickInput, TickRecord};
 
 use crate::{
     controller::Controller,
-    grid::Alignment,
-    grid::{Grid, Slot},
+    grid::{Alignment, Grid, Slot},
     line::{Line, Sent, drive_number},
+    run::messages::{ControlRequest, LineCounters, Reconfiguration, Refusal, Report, link_phase},
     run::proof::Proof,
-    run::report::{LineCounters, Report, link_phase},
-    run::requests::{ControlRequest, Reconfiguration, Refusal},
     serial::SerialEvent,
-    slot::SetpointReceiver,
-    slot::SlotReceiver,
+    slot::{SetpointReceiver, SlotReceiver},
 };
 
 /// The rings of the control thread.
@@ -448,7 +445,7 @@ impl<L: Line> ControlLoop<L> {
         if matches!(self.ending, Ending::Running | Ending::Finishing { .. }) {
             self.arm_when_ready = false;
             self.request(PilotRequest::Disarm);
-            self.controller.disarm_now(Time(now_ns));
+            self.controller.session.disarm(now_ns);
             self.ending = Ending::Aborting {
                 until_ns: now_ns.saturating_add(ABORT_NS),
             };

@@ -15,9 +15,9 @@ pub use crate::run::queue::{Events, MAX_EVENTS};
 use crate::{
     cameras::NewestSamples,
     line::Sent,
+    run::messages::{Reconfiguration, Refusal},
     run::proof::{Proof, Proofs},
     run::queue::{Queue, RESERVED},
-    run::requests::{Reconfiguration, Refusal},
 };
 
 /// The number of other bodies that the pilot is told of in a tick.
@@ -203,12 +203,6 @@ impl Controller {
             self.tell_proved();
         }
         Ok(())
-    }
-
-    /// Asks the board to disarm without slowing down first. The next tick writes the
-    /// request, and the session repeats it until telemetry confirms it.
-    pub fn disarm_now(&mut self, now: Time) {
-        self.session.disarm(now.0);
     }
 
     /// One control tick. `write` accepts a whole frame or none.

@@ -28,9 +28,8 @@ use crate::{
     line::{Line, Port},
     reconfigure::Configurations,
     run::{
+        messages::{Report, Requests},
         proof::{Proofs, configuration_hash},
-        report::Report,
-        requests::Requests,
     },
     serial::{ReaderWait, SerialReader},
     slot::{SetpointSender, SlotSender, setpoint_slot, slot},

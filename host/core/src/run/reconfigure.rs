@@ -15,10 +15,9 @@ use std::{
 use rtrb::Consumer;
 
 use crate::{
-    config::restart_keys,
-    config::{Config, ConfigError, ReferenceSection},
+    config::{Config, ConfigError, ReferenceSection, restart_keys},
+    run::messages::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled},
     run::proof::configuration_hash,
-    run::requests::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled},
 };
 
 /// The longest time until the control loop takes a change, in ns: many ticks.

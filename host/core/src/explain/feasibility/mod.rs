@@ -6,7 +6,7 @@
 //! --check` prints what it returns, and other tools may call it.
 
 mod drive;
-mod unusual;
+mod values;
 
 use core::{
     f64::consts::{FRAC_PI_4, PI},
@@ -15,17 +15,14 @@ use core::{
 
 use drive::{Car, Ended, Governed, SteadyCircle};
 use serde::Serialize;
-use singletrack_control::{
-    GovernorConfig, Position, Reference, VehicleParameters, Velocity, direction, words, wrap,
-};
+use singletrack_control::{GovernorConfig, Position, Reference, Velocity, direction, words, wrap};
 use singletrack_pilot::{Fence, PilotConfig};
-use singletrack_settings::{Section, ValueError};
+use singletrack_settings::ValueError;
 
-use crate::config::{
-    Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS, scaled_paper, value_at,
-};
+use crate::config::{Config, ConfigError, ReferenceSection};
 
-pub use unusual::warn_of_unusual;
+use values::warn_of_examples;
+pub use values::warn_of_unusual;
 
 /// Distance that the path must keep from the geofence beyond its margin, in m. The model of
 /// [`judge`] knows no noise, no lag and no slip; the speed by which the watch judges errs by 4 cm/s
@@ -206,80 +203,6 @@ fn judge_untuned(
         drive.judge_fence(stand, longest_s, &mut judgement);
     }
     Ok(judgement)
-}
-
-/// Values that were left as they are in the example file.
-fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
-    if config.motion_capture.server == EXAMPLE_SERVER {
-        let (key, value) = ("motion_capture.server", config.motion_capture.server);
-        let fix =
-            "this is the example's address; give that of the computer that runs the motion capture";
-        findings.push(Finding::warning(key, value, fix));
-    }
-    warn_of_left_out(&config.vehicle, findings);
-    if is_example(config, "fence") {
-        let (key, value) = ("fence.braking_m_s2", config.fence.braking_m_s2);
-        let fix = "this is the example's; let your car roll out and measure it: the fence and the \
-                   watch of every stop rest on it";
-        findings.push(Finding::warning(key, value, fix));
-    }
-    for (key, fix) in [
-        (
-            "board.servo",
-            "centre, gain and end stops are those of the simulated car; measure yours with the \
-             wheels off the ground: a wrong sign steers the wrong way",
-        ),
-        (
-            "board.esc",
-            "the pulses are those of the simulated car; measure yours with the wheels off the \
-             ground: with another neutral an unarmed car may drive",
-        ),
-        (
-            "board.speed",
-            "pulse distance and gains are those of the simulated car; roll yours over a known \
-             distance and count the pulses",
-        ),
-    ] {
-        if is_example(config, key) {
-            findings.push(Finding::warning(key, "the example's", fix));
-        }
-    }
-}
-
-/// The whole car, or what follows from its axles because it is left out.
-fn warn_of_left_out(vehicle: &VehicleParameters, findings: &mut Vec<Finding>) {
-    if *vehicle == VehicleParameters::paper() {
-        let fix = "the section is left out; give front_axle_distance_m and rear_axle_distance_m of \
-                   your car";
-        findings.push(Finding::warning("vehicle", "the paper's car", fix));
-        return;
-    }
-    let scaled = scaled_paper(vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m);
-    if vehicle.mass_kg == scaled.mass_kg {
-        let mass_kg = format!("{:.2}", vehicle.mass_kg);
-        let fix = "left out, and scaled from the paper's car to this wheelbase, as are inertia and \
-                   tyres that are left out; the law needs only the axles, but weigh the car and \
-                   identify its tyres before you drive near the limits";
-        findings.push(Finding::warning("vehicle.mass_kg", mass_kg, fix));
-    }
-}
-
-/// Whether every value of the section that has an example is that example.
-fn is_example(config: &Config, section: &str) -> bool {
-    section_of(config, section).is_some_and(|(section, written)| {
-        let mut keys = section.keys.iter();
-        keys.all(|key| {
-            (key.example)().is_none_or(|example| written.get(key.name) == Some(&example))
-        })
-    })
-}
-
-/// The declaration of a section, and what is written in it.
-fn section_of(config: &Config, name: &str) -> Option<(&'static Section, toml::Value)> {
-    let section = SECTIONS.iter().find(|section| section.name == name)?;
-    let whole = toml::Value::try_from(config).ok()?;
-    let written = value_at(&whole, name)?.clone();
-    Some((section, written))
 }
 
 /// A drive as it is asked for.

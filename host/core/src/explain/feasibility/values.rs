@@ -1,9 +1,13 @@
-//! Values that no sane car has. Each is within the range of its key: a bench may need it.
+//! Values that should be looked at by themselves: those of the example file, and those that no sane car
+//! has. Each is within the range of its key: a bench may need it.
 
-use singletrack_control::GRAVITY;
+use singletrack_control::{GRAVITY, VehicleParameters};
+use singletrack_settings::Section;
 
-use super::{Finding, section_of};
-use crate::config::{Config, LawKind, OuterLoopSection};
+use super::Finding;
+use crate::config::{
+    Config, EXAMPLE_SERVER, LawKind, OuterLoopSection, SECTIONS, scaled_paper, value_at,
+};
 
 /// The limit of a watch or a gate over its default beyond which it sees little.
 const WIDE: f64 = 5.0;
@@ -19,6 +23,72 @@ const STAMPS_MS: f64 = 50.0;
 
 /// No room with cameras is larger, in m.
 const ROOM_M: f64 = 100.0;
+
+/// Values that were left as they are in the example file.
+pub(super) fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
+    if config.motion_capture.server == EXAMPLE_SERVER {
+        let (key, value) = ("motion_capture.server", config.motion_capture.server);
+        let fix =
+            "this is the example's address; give that of the computer that runs the motion capture";
+        findings.push(Finding::warning(key, value, fix));
+    }
+    warn_of_left_out(&config.vehicle, findings);
+    if is_example(config, "fence") {
+        let (key, value) = ("fence.braking_m_s2", config.fence.braking_m_s2);
+        let fix = "this is the example's; let your car roll out and measure it: the fence and the \
+                   watch of every stop rest on it";
+        findings.push(Finding::warning(key, value, fix));
+    }
+    for (key, fix) in [
+        (
+            "board.servo",
+            "centre, gain and end stops are those of the simulated car; measure yours with the \
+             wheels off the ground: a wrong sign steers the wrong way",
+        ),
+        (
+            "board.esc",
+            "the pulses are those of the simulated car; measure yours with the wheels off the \
+             ground: with another neutral an unarmed car may drive",
+        ),
+        (
+            "board.speed",
+            "pulse distance and gains are those of the simulated car; roll yours over a known \
+             distance and count the pulses",
+        ),
+    ] {
+        if is_example(config, key) {
+            findings.push(Finding::warning(key, "the example's", fix));
+        }
+    }
+}
+
+/// The whole car, or what follows from its axles because it is left out.
+fn warn_of_left_out(vehicle: &VehicleParameters, findings: &mut Vec<Finding>) {
+    if *vehicle == VehicleParameters::paper() {
+        let fix = "the section is left out; give front_axle_distance_m and rear_axle_distance_m of \
+                   your car";
+        findings.push(Finding::warning("vehicle", "the paper's car", fix));
+        return;
+    }
+    let scaled = scaled_paper(vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m);
+    if vehicle.mass_kg == scaled.mass_kg {
+        let mass_kg = format!("{:.2}", vehicle.mass_kg);
+        let fix = "left out, and scaled from the paper's car to this wheelbase, as are inertia and \
+                   tyres that are left out; the law needs only the axles, but weigh the car and \
+                   identify its tyres before you drive near the limits";
+        findings.push(Finding::warning("vehicle.mass_kg", mass_kg, fix));
+    }
+}
+
+/// Whether every value of the section that has an example is that example.
+fn is_example(config: &Config, section: &str) -> bool {
+    section_of(config, section).is_some_and(|(section, written)| {
+        let mut keys = section.keys.iter();
+        keys.all(|key| {
+            (key.example)().is_none_or(|example| written.get(key.name) == Some(&example))
+        })
+    })
+}
 
 /// Finds what should be looked at, and braking beyond the tyres, which is impossible.
 pub fn warn_of_unusual(config: &Config, findings: &mut Vec<Finding>) {
@@ -121,4 +191,12 @@ fn extent(points: &[[f64; 2]]) -> [f64; 2] {
         most - values.fold(f64::INFINITY, f64::min)
     };
     [along(|[x, _]| *x), along(|[_, y]| *y)]
+}
+
+/// The declaration of a section, and what is written in it.
+fn section_of(config: &Config, name: &str) -> Option<(&'static Section, toml::Value)> {
+    let section = SECTIONS.iter().find(|section| section.name == name)?;
+    let whole = toml::Value::try_from(config).ok()?;
+    let written = value_at(&whole, name)?.clone();
+    Some((section, written))
 }
