@@ -4,14 +4,8 @@
 //! publishes the messages of the record, and passes set-points and requests on. If it
 //! hangs or dies, the daemon stops the car.
 
-mod arguments;
-mod attendance;
-mod car;
-mod clocks;
-mod diagnostics;
 mod frames;
 mod incoming;
-mod loopback;
 mod message;
 mod node;
 mod outgoing;
@@ -20,9 +14,8 @@ mod shared;
 
 use std::{error::Error, io, process::ExitCode, sync::Arc};
 
-use arguments::Arguments;
 use clap::Parser as _;
-use shared::Shared;
+use shared::{Arguments, Shared};
 use singletrack_api::log;
 
 fn main() -> ExitCode {
@@ -47,9 +40,8 @@ fn run(shared: &Arc<Shared>) -> Result<(), Box<dyn Error>> {
     outgoing::start(&mut node, shared)?;
     if !arguments.publish_only {
         incoming::start(&mut node, shared)?;
-        attendance::offer(&mut node, shared)?;
     }
-    diagnostics::start(&mut node, shared)?;
+    outgoing::start_diagnostics(&mut node, shared)?;
     node.spin()?;
     tracing::info!(
         domain = node.domain,
@@ -60,7 +52,7 @@ fn run(shared: &Arc<Shared>) -> Result<(), Box<dyn Error>> {
     runtime.block_on(signal())?;
     // The connection that holds a drive ends with the process, and the car stops at once; a
     // disarm slows it down.
-    attendance::end(shared);
+    incoming::end(shared);
     Ok(())
 }
 

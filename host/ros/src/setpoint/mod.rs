@@ -8,10 +8,9 @@ use std::time::Duration;
 use singletrack_api::{Code, Refused, Setpoint, TrajectoryPoint};
 
 use crate::{
-    car::Car,
-    clocks::Now,
     frames::Frames,
-    message::{AckermannDriveStamped, Header, Path, Time, TwistStamped},
+    message::{AckermannDriveStamped, Header, Now, Path, Time, TwistStamped},
+    shared::Car,
 };
 
 /// The map under the name that a record of an earlier version has for it.
