@@ -6,15 +6,14 @@
 //! when it ends at one of them, or when the router is lost: the daemon then stops a drive that its
 //! client held, as when the client dies.
 
-mod car;
 mod connection;
-mod desk;
 mod network;
+mod sides;
 
 use std::{path::PathBuf, process::ExitCode};
 
-use car::Car;
 use clap::{Parser, Subcommand};
+use sides::Car;
 use singletrack_api::log;
 
 /// Control sockets of cars on other computers, by way of a zenoh router
@@ -56,8 +55,8 @@ fn main() -> ExitCode {
     log::start("singletrack_zenoh", log::LevelFilter::ERROR);
     let config = arguments.config.as_deref();
     let ended = match &arguments.side {
-        Side::Car(car) => car::serve(config, car),
-        Side::Desk { fleet } => desk::offer(config, fleet),
+        Side::Car(car) => sides::serve(config, car),
+        Side::Desk { fleet } => sides::offer(config, fleet),
         Side::Router {
             listen,
             without_password,
