@@ -4,9 +4,7 @@
 //! It imports nothing. A caller writes to [`input`], calls [`ask`] with a line of JSON or [`replay`]
 //! with a record, and reads the answer at [`output`]: JSON, or bytes where a request says so.
 
-mod replayed;
 mod session;
-mod stability;
 
 use std::cell::RefCell;
 
@@ -63,7 +61,7 @@ pub extern "C" fn ask() -> u32 {
 // SAFETY: no other item of the program has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn replay() -> u32 {
-    answer(|_, record| replayed::replay(record))
+    answer(|_, record| session::replay(record))
 }
 
 fn answer(work: impl FnOnce(&mut Session, Vec<u8>) -> Answer) -> u32 {

@@ -1,12 +1,18 @@
-//! The drive that the page shows, and the requests about it.
+//! The drive that the page shows and the requests about it; the replay of a record, bit for bit; and the map of
+//! stability of the car at hand under the front-point law.
 
-use std::{error::Error, path::Path};
+use std::{collections::BTreeMap, error::Error, io::Cursor, path::Path};
 
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
+use singletrack_analysis::stability::{
+    Ages, Belief, ClosedLoop, Law, SampledLoop, Servo, Timing, critical_speed,
+    first_unstable_speed, hopf_points,
+};
 use singletrack_api::Setpoint;
-use singletrack_core::top_view;
-use singletrack_record::Digest;
+use singletrack_control::VehicleParameters;
+use singletrack_core::{Config, state_stream::States, top_view};
+use singletrack_record::{Digest, Ending, Entry, Reader, Replay, Topic};
 use singletrack_scenario::{
     laboratory::{FaultValue, Laboratory},
     simulate::{
@@ -17,8 +23,6 @@ use singletrack_scenario::{
 };
 use singletrack_sim::StartPose;
 use toml::Table;
-
-use crate::stability::{Steady, map};
 
 /// JSON, or what the request asks for; or why not.
 pub(crate) type Answer = Result<Vec<u8>, Box<dyn Error>>;
@@ -191,6 +195,134 @@ fn change(toml: &str, keys: &Map<String, Value>) -> Answer {
     Ok(toml::to_string(&table)?.into())
 }
 
-pub(crate) fn reply(answer: &impl serde::Serialize) -> Answer {
+fn reply(answer: &impl serde::Serialize) -> Answer {
     Ok(serde_json::to_vec(answer)?)
+}
+
+/// Ticks from one state to the next.
+const EVERY: u64 = 5;
+
+/// Replays a record and compares all outputs; with its states, to be drawn.
+pub(crate) fn replay(record: Vec<u8>) -> Answer {
+    let bytes = record.len();
+    let mut reader = Reader::from_read(Cursor::new(record), Path::new("the record"))?
+        .only(&[Topic::Configuration, Topic::Tick]);
+    let meta = &reader.meta;
+    let config = Config::from_toml(&meta.configuration)?;
+    let (software, seed) = (meta.software.clone(), meta.seed);
+    let mut replay = Replay::new(config.pilot()?);
+    let (mut digest, mut seen, mut states) = (Digest::default(), States::default(), Vec::new());
+    let (mut ticks, mut different, mut first) = (0_u64, 0_u64, None);
+    let mut modes: BTreeMap<&str, u64> = BTreeMap::new();
+    for entry in reader.by_ref() {
+        match entry? {
+            Entry::Configuration(found) => {
+                let config = Config::from_toml(&found.toml)?;
+                replay.configuration(found.number, config.pilot()?);
+            }
+            Entry::Tick(tick) => {
+                let output = replay.tick(&tick)?;
+                if !tick.is_output(&output) {
+                    different += 1;
+                    first.get_or_insert_with(|| {
+                        let fields = tick.differences(&output).into_iter();
+                        let fields: Vec<_> = fields.map(|it| it.to_string()).collect();
+                        (tick.index, fields)
+                    });
+                }
+                digest.add(&tick);
+                seen.tick(&tick);
+                if ticks % EVERY == 0 {
+                    states.push(seen.state(&tick));
+                }
+                ticks += 1;
+                *modes.entry(tick.output.mode.name()).or_default() += 1;
+            }
+            _ => {}
+        }
+    }
+    reply(&json!({
+        "bytes": bytes,
+        "software": software,
+        "seed": seed,
+        "ticks": ticks,
+        "different": different,
+        "first": first,
+        "finished": reader.ending == Some(Ending::Finished),
+        "digest": digest.to_string(),
+        "modes": modes,
+        "setup": top_view::setup(1, &config),
+        "states": states,
+    }))
+}
+
+/// Points of the Hopf curve.
+const SPEEDS: u32 = 100;
+/// The searched speeds of the sampled loop, in m/s.
+const SEARCHED: [f64; 2] = [0.1, 20.0];
+
+/// A steady motion.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Steady {
+    /// The car; the paper's if left out.
+    #[serde(default)]
+    vehicle: VehicleParameters,
+    /// p, in m.
+    point_distance_m: f64,
+    /// Speed, in m/s.
+    speed_m_s: f64,
+    /// Error of `l_f` in the law, in m.
+    deviation_m: f64,
+    /// The largest speed of the map, in m/s.
+    largest_speed_m_s: f64,
+}
+
+/// Eigenvalues at the steady motion, the Hopf curve over speed and dl, and the speeds from which on
+/// the motion is unstable: of the paper's loop, and of the loop in ticks with the simulated car's
+/// servo and delays.
+fn map(steady: &Steady) -> Result<Value, Box<dyn Error>> {
+    let Steady {
+        vehicle,
+        point_distance_m: p,
+        speed_m_s: speed,
+        deviation_m: deviation,
+        ..
+    } = *steady;
+    vehicle.validate()?;
+    let (law, belief) = (Law::FrontPoint, Belief::FrontAxle);
+    let closed = ClosedLoop::new(vehicle, law, p, speed, deviation)?.believing(belief);
+    let eigenvalues = closed.eigenvalues();
+    let eigenvalues: Vec<_> = eigenvalues.iter().map(|it| [it.re, it.im]).collect();
+    let mut hopf = Vec::new();
+    for index in 1..=SPEEDS {
+        let speed = steady.largest_speed_m_s * f64::from(index) / f64::from(SPEEDS);
+        let points = hopf_points(vehicle, law, belief, p, speed)?;
+        let ends = points.iter().filter(|it| it.ends_stability());
+        hopf.extend(ends.map(|it| [it.deviation, speed]));
+    }
+    let servo = Servo {
+        lag: 0.04,
+        dead_time: 0.002,
+    };
+    // The timing of the simulated car, as `singletrack stability first-unstable-speed` has it.
+    let timing = Timing {
+        predicted_pose: 2,
+        servo_frame: 2,
+        ages: Ages {
+            yaw_rate: 0.005,
+            sideslip: 0.0,
+        },
+        servo: Some(servo),
+        ..Timing::new(0.01, 0.007)
+    };
+    let sampled = SampledLoop::new(closed, timing)?;
+    Ok(json!({
+        "eigenvalues": eigenvalues,
+        "stable": closed.is_stable(),
+        "hopf": hopf,
+        "meaningful_m": ClosedLoop::meaningful_deviations(&vehicle),
+        "critical_speed_m_s": critical_speed(vehicle, p, [deviation; 2])?,
+        "first_unstable_speed_m_s": first_unstable_speed(&sampled, &[deviation], SEARCHED)?,
+    }))
 }
