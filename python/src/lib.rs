@@ -30,8 +30,8 @@ mod _native {
             front_point, model_derivative, model_simulate, paper_vehicle, point_p, velocity_point,
         },
         recording::read_record,
-        simulator::{Fleet, FleetDrive, Simulator, truth_keys},
-        socket::Connection,
+        simulator::{Simulator, truth_keys},
+        socket::{Connection, Fleet, FleetDrive},
         stability::{
             Course, compare, critical_speed, eigenvalues, hopf_points, is_stable, sampled,
             smallest_point_distance,
