@@ -8,7 +8,6 @@
 
 mod frame;
 mod message;
-mod model;
 mod packet;
 
 use core::fmt;
@@ -16,13 +15,12 @@ use core::fmt;
 pub use frame::{
     CameraTicks, Frame, FrameFlags, PrecisionTime, RigidBodies, RigidBody, SectionCounts,
 };
-pub(crate) use message::SENDER_NAME_LEN;
 pub use message::{
-    ClientMessage, Connect, Connection, DataChannel, Echo, Response, SENDER_LEN, ServerInfo,
-    ServerMessage, bitstream_request,
+    ClientMessage, Connect, Connection, DataChannel, Echo, ModelDefinitions, Response,
+    RigidBodyDefinition, RigidBodyDefinitions, SENDER_LEN, ServerInfo, ServerMessage,
+    bitstream_request,
 };
-pub(crate) use model::dataset;
-pub use model::{ModelDefinitions, RigidBodyDefinition, RigidBodyDefinitions};
+pub(crate) use message::{SENDER_NAME_LEN, dataset};
 pub use packet::{DecodeError, HEADER_LEN, MAX_DATAGRAM_LEN, MessageId, Packet};
 
 /// A NatNet bitstream version whose layout this crate reads.

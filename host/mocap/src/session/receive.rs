@@ -3,7 +3,7 @@
 
 use core::net::SocketAddr;
 
-use super::{Server, Session, transmit::Schedule};
+use super::{Schedule, Server, Session};
 use crate::{
     body::{Bodies, BodiesOf, CaptureTime},
     clock::{CaptureClock, EchoSample, SampleUse},

@@ -1,9 +1,209 @@
-//! Encodes FRAMEOFDATA, with a bounded little-endian cursor that can fill in sizes afterwards.
+//! The NatNet wire format: values to bytes, for both sides.
+//!
+//! Every function writes one whole datagram to the front of `out` and returns
+//! its length. The server's half feeds simulated cameras and tests.
 
-use super::{EncodeError, Encoded};
 use crate::codec::{
-    BitstreamVersion, CameraTicks, FrameFlags, HEADER_LEN, MAX_DATAGRAM_LEN, MessageId, RigidBody,
+    BitstreamVersion, CameraTicks, ClientMessage, Echo, FrameFlags, HEADER_LEN, MAX_DATAGRAM_LEN,
+    MessageId, RigidBody, RigidBodyDefinition, SENDER_NAME_LEN, ServerInfo, dataset,
 };
+
+/// The length of the datagram, or why there is none.
+pub type Encoded = Result<usize, EncodeError>;
+
+/// Why a message can't be encoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EncodeError {
+    /// The buffer ends before the message does.
+    #[error("{field} does not fit into the {capacity} bytes of the buffer")]
+    BufferTooSmall {
+        /// The field that did not fit.
+        field: &'static str,
+        /// Length of the buffer.
+        capacity: usize,
+    },
+    /// A count or size beyond what the wire or a datagram can carry.
+    #[error("{field} is {value}, more than the wire can carry")]
+    CountOutOfRange {
+        /// The count.
+        field: &'static str,
+        /// Its value.
+        value: usize,
+    },
+    /// A NUL inside a string: it would end the string on the wire.
+    #[error("{field} contains a NUL")]
+    InteriorNul {
+        /// The string.
+        field: &'static str,
+    },
+    /// A name longer than its fixed field.
+    #[error("{field} is {len} bytes long, at most {max} fit")]
+    NameTooLong {
+        /// The name.
+        field: &'static str,
+        /// Its length.
+        len: usize,
+        /// The limit.
+        max: usize,
+    },
+}
+
+/// Encodes any message of a client.
+///
+/// # Errors
+/// The buffer is too small, or a text contains a NUL or is too long.
+pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Encoded {
+    let mut writer = Writer::new(out);
+    let id = match message {
+        ClientMessage::Connect(connect) => {
+            writer.padded_name::<SENDER_NAME_LEN>(connect.name, "client name");
+            writer.bytes(&[0; 4], "client application version");
+            writer.bytes(&BitstreamVersion::V4_1.to_wire(), "client NatNet version");
+            writer.u8(0, "subscribed data only");
+            let requested = connect.requested_bitstream.unwrap_or_default();
+            writer.bytes(&requested, "requested bitstream");
+            MessageId::Connect
+        }
+        ClientMessage::Request(text) => {
+            writer.c_bytes(text.as_bytes(), "request");
+            MessageId::Request
+        }
+        ClientMessage::EchoRequest { client_stamp } => {
+            writer.u64(*client_stamp, "echo client stamp");
+            MessageId::EchoRequest
+        }
+        ClientMessage::RequestModelDefinitions => MessageId::RequestModelDefinitions,
+        ClientMessage::KeepAlive => MessageId::KeepAlive,
+        ClientMessage::Disconnect => MessageId::Disconnect,
+        ClientMessage::Discovery => MessageId::Discovery,
+    };
+    writer.finish(id)
+}
+
+/// Encodes the answer to CONNECT: the long form when `info` has a connection
+/// (3.0 and newer servers), else the short one.
+///
+/// # Errors
+/// The buffer is too small, or the name contains a NUL or is too long.
+pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Encoded {
+    let mut writer = Writer::new(out);
+    writer.padded_name::<SENDER_NAME_LEN>(info.application, "server name");
+    writer.bytes(&info.application_version, "server application version");
+    writer.bytes(&info.natnet_version, "server NatNet version");
+    if let Some(connection) = &info.connection {
+        let ticks_per_second = connection.ticks_per_second.map_or(0, u64::from);
+        writer.u64(ticks_per_second, "clock frequency");
+        writer.u16(connection.data_channel.port, "data port");
+        writer.u8(connection.data_channel.multicast.into(), "multicast flag");
+        writer.bytes(&connection.data_channel.group.octets(), "multicast group");
+    }
+    writer.finish(MessageId::ServerInfo)
+}
+
+/// Encodes the answer to an echo request.
+///
+/// # Errors
+/// The buffer is too small.
+pub fn echo_response(echo: Echo, out: &mut [u8]) -> Encoded {
+    let mut writer = Writer::new(out);
+    writer.u64(echo.client_stamp, "echo client stamp");
+    writer.u64(echo.server_ticks, "echo server ticks");
+    writer.finish(MessageId::EchoResponse)
+}
+
+/// Encodes the answer to a text request as a status; 0 is success.
+///
+/// # Errors
+/// The buffer is too small.
+pub fn response_status(status: i32, out: &mut [u8]) -> Encoded {
+    let mut writer = Writer::new(out);
+    writer.i32(status, "response status");
+    writer.finish(MessageId::Response)
+}
+
+/// Encodes the server's disconnect message.
+///
+/// # Errors
+/// The buffer is too small.
+pub fn disconnect(out: &mut [u8]) -> Encoded {
+    Writer::new(out).finish(MessageId::Disconnect)
+}
+
+/// Encodes the answer to a request that the server does not understand.
+///
+/// # Errors
+/// The buffer is too small.
+pub fn unrecognized(out: &mut [u8]) -> Encoded {
+    Writer::new(out).finish(MessageId::Unrecognized)
+}
+
+/// One entry of the model definitions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Dataset<'a> {
+    /// A rigid body, without its markers.
+    RigidBody(RigidBodyDefinition<'a>),
+    /// A named set of markers.
+    MarkerSet {
+        /// Its name.
+        name: &'a str,
+        /// Its markers' names.
+        marker_names: &'a [&'a str],
+    },
+}
+
+/// Encodes the answer to a request for model definitions.
+///
+/// # Errors
+/// The buffer is too small, or a name contains a NUL.
+pub fn model_definitions(
+    version: BitstreamVersion,
+    datasets: &[Dataset<'_>],
+    out: &mut [u8],
+) -> Encoded {
+    let mut writer = Writer::new(out);
+    writer.count(datasets.len(), "dataset count");
+    for dataset in datasets {
+        writer.i32(dataset.type_id(), "dataset type");
+        writer.sized(version, "dataset size", |writer| {
+            dataset.write(writer, version);
+        });
+    }
+    writer.finish(MessageId::ModelDefinitions)
+}
+
+impl Dataset<'_> {
+    const fn type_id(&self) -> i32 {
+        match self {
+            Self::MarkerSet { .. } => dataset::MARKER_SET,
+            Self::RigidBody(_) => dataset::RIGID_BODY,
+        }
+    }
+
+    fn write(&self, writer: &mut Writer<'_>, version: BitstreamVersion) {
+        match self {
+            Self::RigidBody(definition) => {
+                writer.c_bytes(definition.name, "rigid body name");
+                writer.i32(definition.id, "rigid body id");
+                writer.i32(definition.parent_id, "rigid body parent");
+                writer.f32s(&definition.offset_m, "rigid body offset");
+                if version >= BitstreamVersion::V4_2 {
+                    writer.f32s(&[0.0, 0.0, 0.0, 1.0], "rigid body rotation");
+                }
+                if version >= BitstreamVersion::V3_0 {
+                    writer.count(0, "definition marker count");
+                }
+            }
+            Self::MarkerSet { name, marker_names } => {
+                writer.c_bytes(name.as_bytes(), "marker set name");
+                writer.count(marker_names.len(), "marker name count");
+                for name in *marker_names {
+                    writer.c_bytes(name.as_bytes(), "marker name");
+                }
+            }
+        }
+    }
+}
 
 /// The content of a frame. A field that the version does not have is left out: ticks
 /// before 3.0, latency from 3.0 on. All other sections are empty, and other times zero.
@@ -115,7 +315,7 @@ pub fn frame(version: BitstreamVersion, content: &FrameContent<'_>, out: &mut [u
 }
 
 /// Writes a message. [`finish`](Self::finish) returns the first error; nothing is written after it.
-pub(super) struct Writer<'a> {
+struct Writer<'a> {
     out: &'a mut [u8],
     len: usize,
     error: Option<EncodeError>,
@@ -123,7 +323,7 @@ pub(super) struct Writer<'a> {
 
 impl<'a> Writer<'a> {
     /// Begins a message, with room for the header.
-    pub(super) fn new(out: &'a mut [u8]) -> Self {
+    fn new(out: &'a mut [u8]) -> Self {
         let (len, error) = (0, None);
         let mut writer = Self { out, len, error };
         writer.u16(0, "message id");
@@ -132,7 +332,7 @@ impl<'a> Writer<'a> {
     }
 
     /// Fills in the header and returns the datagram's length.
-    pub(super) fn finish(self, id: MessageId) -> Encoded {
+    fn finish(self, id: MessageId) -> Encoded {
         if let Some(error) = self.error {
             return Err(error);
         }
@@ -155,7 +355,7 @@ impl<'a> Writer<'a> {
         self.error.get_or_insert(error);
     }
 
-    pub(super) fn bytes(&mut self, bytes: &[u8], field: &'static str) {
+    fn bytes(&mut self, bytes: &[u8], field: &'static str) {
         let capacity = self.out.len();
         let end = self.len.saturating_add(bytes.len());
         match self.out.get_mut(self.len..end) {
@@ -167,31 +367,31 @@ impl<'a> Writer<'a> {
         }
     }
 
-    pub(super) fn u8(&mut self, value: u8, field: &'static str) {
+    fn u8(&mut self, value: u8, field: &'static str) {
         self.bytes(&[value], field);
     }
 
-    pub(super) fn u16(&mut self, value: u16, field: &'static str) {
+    fn u16(&mut self, value: u16, field: &'static str) {
         self.bytes(&value.to_le_bytes(), field);
     }
 
-    pub(super) fn i32(&mut self, value: i32, field: &'static str) {
+    fn i32(&mut self, value: i32, field: &'static str) {
         self.bytes(&value.to_le_bytes(), field);
     }
 
-    pub(super) fn u64(&mut self, value: u64, field: &'static str) {
+    fn u64(&mut self, value: u64, field: &'static str) {
         self.bytes(&value.to_le_bytes(), field);
     }
 
-    pub(super) fn f32(&mut self, value: f32, field: &'static str) {
+    fn f32(&mut self, value: f32, field: &'static str) {
         self.bytes(&value.to_le_bytes(), field);
     }
 
-    pub(super) fn f32s(&mut self, values: &[f32], field: &'static str) {
+    fn f32s(&mut self, values: &[f32], field: &'static str) {
         values.iter().for_each(|value| self.f32(*value, field));
     }
 
-    pub(super) fn count(&mut self, value: usize, field: &'static str) {
+    fn count(&mut self, value: usize, field: &'static str) {
         match i32::try_from(value) {
             Ok(count) => self.i32(count, field),
             Err(_) => self.fail(EncodeError::CountOutOfRange { field, value }),
@@ -199,7 +399,7 @@ impl<'a> Writer<'a> {
     }
 
     /// A text, and the NUL that ends it.
-    pub(super) fn c_bytes(&mut self, text: &[u8], field: &'static str) {
+    fn c_bytes(&mut self, text: &[u8], field: &'static str) {
         if text.contains(&0) {
             self.fail(EncodeError::InteriorNul { field });
         }
@@ -208,7 +408,7 @@ impl<'a> Writer<'a> {
     }
 
     /// A name in a field of `N` bytes, padded with zeros, NUL included.
-    pub(super) fn padded_name<const N: usize>(&mut self, name: &str, field: &'static str) {
+    fn padded_name<const N: usize>(&mut self, name: &str, field: &'static str) {
         let (len, max) = (name.len(), N.saturating_sub(1));
         if name.contains('\0') {
             self.fail(EncodeError::InteriorNul { field });
@@ -240,7 +440,7 @@ impl<'a> Writer<'a> {
     }
 
     /// Writes a part, before it its size if the version has one.
-    pub(super) fn sized(
+    fn sized(
         &mut self,
         version: BitstreamVersion,
         field: &'static str,
