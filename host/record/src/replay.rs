@@ -156,6 +156,19 @@ impl TickRecord {
             })
             .collect()
     }
+
+    /// The tick with this output and without its events, as it is encoded; `None` if it can't be.
+    fn output_bytes(&self, output: &Output) -> Option<Vec<u8>> {
+        let tick = Self {
+            events: heapless::Vec::new(),
+            output: *output,
+            ..*self
+        };
+        // Longer than nearly every tick without its events.
+        let mut bytes = Vec::with_capacity(1 << 10);
+        let encoded = message::encode(&TickMessage::of(&tick), &mut bytes);
+        encoded.is_ok().then_some(bytes)
+    }
 }
 
 fn same(one: &Value, other: &Value) -> bool {
@@ -192,25 +205,11 @@ impl fmt::Display for Digest {
     }
 }
 
-impl TickRecord {
-    /// The tick with this output and without its events, as it is encoded; `None` if it can't be.
-    pub(crate) fn output_bytes(&self, output: &Output) -> Option<Vec<u8>> {
-        let tick = Self {
-            events: heapless::Vec::new(),
-            output: *output,
-            ..*self
-        };
-        // Longer than nearly every tick without its events.
-        let mut bytes = Vec::with_capacity(1 << 10);
-        let encoded = message::encode(&TickMessage::of(&tick), &mut bytes);
-        encoded.is_ok().then_some(bytes)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::panic, reason = "a test may fail")]
 
+    use super::*;
     use crate::tick::tests::full;
 
     #[test]
@@ -245,12 +244,6 @@ mod tests {
         assert!(tick.is_output(&tick.output));
         assert_eq!(tick.differences(&tick.output), []);
     }
-}
-
-#[cfg(test)]
-mod digest_tests {
-    use super::*;
-    use crate::tick::tests::full;
 
     #[test]
     fn every_bit_and_the_order_count() {

@@ -1,7 +1,6 @@
 //! Records in files: writer, reader and recovery, and their errors.
 
 mod chunk;
-mod feed;
 mod metadata;
 mod reader;
 mod recorder;
@@ -14,9 +13,8 @@ use std::{
 };
 
 pub use chunk::parse_record;
-pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
 pub use reader::{Ending, Reader, Recorded};
-pub use recorder::{Finished, Recorder, part_path};
+pub use recorder::{FeedInput, FeedOutput, Finished, Recorder, RecorderThread, feed, part_path};
 pub use recover::{Recovery, recover};
 
 /// Replaces a file as a whole: after a loss of power it is the old one or the new one. The new text

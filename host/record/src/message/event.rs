@@ -10,9 +10,9 @@ use singletrack_pilot::{
 };
 
 use super::{
-    code::Code,
-    declare::{Fields, choice, fields, message},
-    field::{GainMessage, Group, Maybe, Part, PointMessage, Represents, VelocityMessage},
+    Fields, choice,
+    field::{Code, GainMessage, Group, Maybe, Part, PointMessage, Represents, VelocityMessage},
+    fields, message,
 };
 
 choice! {

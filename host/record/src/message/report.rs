@@ -8,9 +8,9 @@ use singletrack_protocol::{
 };
 
 use super::{
-    code::{BindingKind, Code, PoseKind},
-    declare::{Fields, array, fields, message},
-    field::{Group, Maybe, Part, Represents},
+    Fields, array,
+    field::{BindingKind, Code, Group, Maybe, Part, PoseKind, Represents},
+    fields, message,
 };
 use crate::{ConfigurationRecord, Drops, Level, Log, StatusRecord, TelemetryRecord};
 

@@ -6,10 +6,10 @@ use singletrack_pilot::{
 };
 
 use super::{
-    code::Code,
-    declare::{array, fields, message},
+    array,
     event::{EventMessage, JogMessage, StampMessage},
-    field::{GainMessage, Group, Maybe, PointMessage, VelocityMessage},
+    field::{Code, GainMessage, Group, Maybe, PointMessage, VelocityMessage},
+    fields, message,
 };
 use crate::{DriveWrite, LinkPhase, TickRecord};
 
