@@ -57,7 +57,7 @@ pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Encoded {
     let mut writer = Writer::new(out);
     let id = match message {
         ClientMessage::Connect(connect) => {
-            writer.padded_name::<SENDER_NAME_LEN>(connect.name, "client name");
+            writer.padded_name(connect.name, "client name");
             writer.bytes(&[0; 4], "client application version");
             writer.bytes(&BitstreamVersion::V4_1.to_wire(), "client NatNet version");
             writer.u8(0, "subscribed data only");
@@ -88,7 +88,7 @@ pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Encoded {
 /// The buffer is too small, or the name contains a NUL or is too long.
 pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Encoded {
     let mut writer = Writer::new(out);
-    writer.padded_name::<SENDER_NAME_LEN>(info.application, "server name");
+    writer.padded_name(info.application, "server name");
     writer.bytes(&info.application_version, "server application version");
     writer.bytes(&info.natnet_version, "server NatNet version");
     if let Some(connection) = &info.connection {
@@ -407,13 +407,13 @@ impl<'a> Writer<'a> {
         self.u8(0, field);
     }
 
-    /// A name in a field of `N` bytes, padded with zeros, NUL included.
-    fn padded_name<const N: usize>(&mut self, name: &str, field: &'static str) {
-        let (len, max) = (name.len(), N.saturating_sub(1));
+    /// The name of a sender, padded with zeros, NUL included.
+    fn padded_name(&mut self, name: &str, field: &'static str) {
+        let (len, max) = (name.len(), SENDER_NAME_LEN - 1);
         if name.contains('\0') {
             self.fail(EncodeError::InteriorNul { field });
         }
-        let mut padded = [0; N];
+        let mut padded = [0; SENDER_NAME_LEN];
         match padded.get_mut(..len) {
             Some(slot) if len <= max => slot.copy_from_slice(name.as_bytes()),
             _ => self.fail(EncodeError::NameTooLong { field, len, max }),

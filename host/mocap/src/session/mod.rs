@@ -101,14 +101,6 @@ struct Schedule {
 }
 
 impl Schedule {
-    /// CONNECT is due at `now_ns`, and nothing else.
-    fn connect_at(now_ns: u64) -> Self {
-        Self {
-            handshake_ns: now_ns,
-            ..Self::default()
-        }
-    }
-
     /// Every message is due at `now_ns`.
     const fn begin(now_ns: u64) -> Self {
         Self {

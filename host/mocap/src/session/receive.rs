@@ -17,6 +17,14 @@ use crate::{
     pose_source::{Connected, Output, Phase, PoseFrame, RestartReason, SessionEvent, Wake},
 };
 
+/// This number of frames in a row that can't be decoded, over a time for which a
+/// stream may be silent, means that the bitstream is another one.
+const UNDECODABLE: u32 = 20;
+
+/// While the flag "models changed" stays set, the definitions are read at this
+/// interval.
+const MODELS_CHANGED_NS: u64 = 1_000_000_000;
+
 impl Session {
     /// Starts over with CONNECT.
     pub(super) fn restart(&mut self, reason: RestartReason, wake: &mut Wake<'_>) {
@@ -25,7 +33,7 @@ impl Session {
         }
         self.common.counters.restarts += 1;
         self.common.phase = Phase::Connecting;
-        self.schedule = Schedule::connect_at(wake.now_ns);
+        self.schedule = Schedule::begin(wake.now_ns);
         self.server = None;
         self.echo_stamp = None;
         self.undecodable = 0;
@@ -130,17 +138,7 @@ impl Session {
                 && connection.is_some_and(|connection| connection.ticks_per_second.is_some()),
         }));
     }
-}
 
-/// This number of frames in a row that can't be decoded, over a time for which a
-/// stream may be silent, means that the bitstream is another one.
-const UNDECODABLE: u32 = 20;
-
-/// While the flag "models changed" stays set, the definitions are read at this
-/// interval.
-const MODELS_CHANGED_NS: u64 = 1_000_000_000;
-
-impl Session {
     pub(super) fn datagram(&mut self, source: SocketAddr, datagram: &[u8], wake: &mut Wake<'_>) {
         // Frames come from the command port or the data port, replies from the
         // command port, multicast from any port: only the address is checked here, and
