@@ -11,7 +11,7 @@ mod field;
 mod report;
 mod tick;
 
-use std::mem;
+use std::{iter, mem};
 
 use byteorder::LittleEndian;
 use serde::{Serialize, de::DeserializeOwned};
@@ -79,13 +79,10 @@ impl Definition {
         array: &str,
     ) {
         self.plain(&format!("{kind}{array}"), name);
-        if self.nested.iter().any(|(known, _)| *known == kind) {
-            return;
-        }
         let mut inner = Self::default();
         define(&mut inner);
-        self.nested.push((kind.to_owned(), inner.text));
-        for (kind, text) in inner.nested {
+        let own = (kind.to_owned(), inner.text);
+        for (kind, text) in iter::once(own).chain(inner.nested) {
             if !self.nested.iter().any(|(known, _)| *known == kind) {
                 self.nested.push((kind, text));
             }

@@ -196,17 +196,16 @@ fn remove_left(recovering: &Path) -> Result<(), RecordError> {
 /// Refuses a file that is not a record, with the errors of a reader; returns the library
 /// that wrote the file.
 fn check_head(input: &Path, scan: &mut Scan) -> Result<String, RecordError> {
-    let empty = |length| RecordError::Empty {
+    let length = scan.length;
+    let empty = || RecordError::Empty {
         path: input.to_owned(),
         bytes: length,
     };
-    let length = scan.length;
+    if length < mcap::MAGIC.len() as u64 {
+        return Err(empty());
+    }
     if !scan.magic().map_err(failure("read", input))? {
-        return Err(if length < mcap::MAGIC.len() as u64 {
-            empty(length)
-        } else {
-            RecordError::NotMcap(input.to_owned())
-        });
+        return Err(RecordError::NotMcap(input.to_owned()));
     }
     match scan.next().map_err(failure("read", input))? {
         Found::Record { opcode, content } => match parse_record(opcode, content) {
@@ -222,7 +221,7 @@ fn check_head(input: &Path, scan: &mut Scan) -> Result<String, RecordError> {
             }),
             _ => Err(RecordError::NotMcap(input.to_owned())),
         },
-        Found::Nothing | Found::End => Err(empty(length)),
+        Found::Nothing | Found::End => Err(empty()),
     }
 }
 

@@ -61,12 +61,9 @@ impl Scan {
         })
     }
 
-    /// Skips the magic; false if the file does not begin with it.
+    /// Skips the magic of a file that is long enough for it; false if another one is there.
     pub(super) fn magic(&mut self) -> io::Result<bool> {
         let mut magic = [0; mcap::MAGIC.len()];
-        if self.length < magic.len() as u64 {
-            return Ok(false);
-        }
         self.file.read_exact(&mut magic)?;
         self.at = magic.len() as u64;
         Ok(magic == *mcap::MAGIC)
