@@ -20,7 +20,7 @@ use singletrack_mocap::{
     qualisys::packet::{DISCOVERY_PORT, discovery},
 };
 
-use crate::setup::{fail, refuse};
+use crate::{fail, refuse};
 
 /// The middle of an exposure with the bound on its error, in ns, and how it was found.
 type Exposure = (u64, u64, &'static str);

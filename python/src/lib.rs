@@ -8,17 +8,22 @@
     reason = "Python's arguments are converted to values of our own"
 )]
 
-use pyo3::prelude::*;
-
 mod cameras;
 mod environment;
 mod model;
 mod recording;
-mod setup;
 mod simulator;
 mod socket;
 mod stability;
 mod vehicle;
+
+use std::time::Duration;
+
+use pyo3::{
+    exceptions::{PyRuntimeError, PyValueError},
+    prelude::*,
+};
+use singletrack_scenario::laboratory;
 
 #[pymodule]
 mod _native {
@@ -37,4 +42,24 @@ mod _native {
             smallest_point_distance,
         },
     };
+}
+
+/// An argument is wrong.
+fn refuse(error: impl ToString) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}
+
+/// A call can't be obeyed now.
+fn fail(error: impl ToString) -> PyErr {
+    PyRuntimeError::new_err(error.to_string())
+}
+
+/// A time in s, which may not be negative.
+fn seconds(time: f64) -> PyResult<Duration> {
+    Duration::try_from_secs_f64(time).map_err(refuse)
+}
+
+/// The value of a word; another word is refused with those that are known.
+fn choice<T: Copy>(name: &str, word: &str, known: &[(&str, T)]) -> PyResult<T> {
+    laboratory::choice(name, word, known).map_err(refuse)
 }

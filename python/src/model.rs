@@ -14,7 +14,7 @@ use singletrack_control::{
     VelocityPointLaw,
 };
 
-use crate::setup::{choice, refuse};
+use crate::{choice, refuse};
 
 /// The checked parameters of a car: the fields of Python's `Vehicle`.
 pub(crate) fn parameters(vehicle: &Bound<'_, PyAny>) -> PyResult<VehicleParameters> {

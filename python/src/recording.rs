@@ -10,7 +10,7 @@ use pyo3::{
 };
 use singletrack_record::{Ending, Reader, RecordError, Topic, Value};
 
-use crate::setup::refuse;
+use crate::refuse;
 
 /// All values as those of a kind; none if one is of another kind.
 fn all<T>(values: &[Value], kind: impl Fn(&Value) -> Option<T>) -> Option<Vec<T>> {

@@ -17,7 +17,7 @@ use singletrack_pilot::Tuning;
 use singletrack_scenario::laboratory::{FaultValue, Laboratory, Setup, reference};
 use singletrack_sim::{StartPose, TRUTH_KEYS};
 
-use crate::setup::{fail, refuse};
+use crate::{fail, refuse};
 
 /// Ticks after which a signal of the program is seen.
 const TICKS_PER_CHECK: usize = 1_000;

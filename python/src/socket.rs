@@ -22,7 +22,7 @@ use singletrack_api::{
     ClientError, Connection as Client, Fleet as Cars, FleetArm, FleetDrive as Drive, Reply, Request,
 };
 
-use crate::setup::{fail, refuse, seconds};
+use crate::{fail, refuse, seconds};
 
 /// The longest wait for a daemon that does not read.
 const PATIENCE: Duration = Duration::from_secs(5);

@@ -19,10 +19,7 @@ use singletrack_lab::{
 };
 use singletrack_scenario::virtual_drive::VirtualTick;
 
-use crate::{
-    model::parameters,
-    setup::{choice, fail, refuse},
-};
+use crate::{choice, fail, model::parameters, refuse};
 
 /// A car in steady motion under a law.
 #[derive(FromPyObject)]

@@ -15,7 +15,7 @@ use singletrack_core::Config;
 use singletrack_scenario::laboratory::{Setup, SetupError, TruthRange, reference};
 
 use self::task::{Autoreset, Control, Instance, Lap, Options, Reward, Task, places, state};
-use crate::setup::{choice, refuse};
+use crate::{choice, refuse};
 
 /// Places of the picture of a reference.
 const PLACES: usize = 400;
