@@ -380,7 +380,7 @@ impl PlanarSession {
 
     // Handlers.
 
-    /// Takes what arrived: see [`PoseSource::handle_input`](crate::PoseSource::handle_input).
+    /// Takes what arrived: see [`PoseSource::handle_input`].
     pub fn handle_input(
         &mut self,
         now_ns: u64,
@@ -398,8 +398,7 @@ impl PlanarSession {
         used
     }
 
-    /// Acts on what did not arrive: see
-    /// [`PoseSource::handle_timeout`](crate::PoseSource::handle_timeout).
+    /// Acts on what did not arrive: see [`PoseSource::handle_timeout`].
     pub fn handle_timeout(&mut self, now_ns: u64, on_event: &mut impl FnMut(PlanarEvent)) {
         let (tracker, tells_others) = (&mut self.tracker, self.config.tells_others);
         self.source.handle_timeout(now_ns, &mut |output| {
@@ -409,33 +408,30 @@ impl PlanarSession {
 
     // Requests.
 
-    /// Replaces the offset of the stamps: see
-    /// [`PoseSource::set_stamp_offset_ns`](crate::PoseSource::set_stamp_offset_ns).
+    /// Replaces the offset of the stamps: see [`PoseSource::set_stamp_offset_ns`].
     pub fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
         self.config.session.timing.stamp_offset_ns = offset_ns;
         self.source.set_stamp_offset_ns(offset_ns);
     }
 
-    /// Leaves the server: see [`PoseSource::close`](crate::PoseSource::close).
+    /// Leaves the server: see [`PoseSource::close`].
     pub fn close(&mut self) {
         self.source.close();
     }
 
     // Pollers.
 
-    /// The next message to send: see
-    /// [`PoseSource::poll_transmit`](crate::PoseSource::poll_transmit).
+    /// The next message to send: see [`PoseSource::poll_transmit`].
     pub fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
         self.source.poll_transmit(now_ns)
     }
 
-    /// The time of the next wake-up: see
-    /// [`PoseSource::poll_timeout`](crate::PoseSource::poll_timeout).
+    /// The time of the next wake-up: see [`PoseSource::poll_timeout`].
     pub fn poll_timeout(&self) -> Option<u64> {
         self.source.poll_timeout()
     }
 
-    /// The stream that the owner keeps open: see [`PoseSource::stream`](crate::PoseSource::stream).
+    /// The stream that the owner keeps open: see [`PoseSource::stream`].
     pub fn stream(&self) -> Option<Stream> {
         self.source.stream()
     }
