@@ -19,7 +19,7 @@ use singletrack_api::{
 
 use crate::{
     message::{Now, TriggerResponse},
-    node::{Node, start as start_thread},
+    node::{Node, start_thread},
     setpoint::{Arrival, Judge, ignored_of_drive, ignored_of_twist},
     shared::Shared,
 };

@@ -46,7 +46,7 @@ impl Node {
         let namespace = &arguments.namespace;
         let name = NodeName::new(namespace, NODE)
             .map_err(|error| format!("--namespace {namespace}: {error}"))?;
-        // That of loopback alone if none is given.
+        // Loopback, and the interfaces that are given.
         let networks = [&[IpAddr::from(Ipv4Addr::LOCALHOST)], &*arguments.interface].concat();
         let participant = DomainParticipantBuilder::new(domain)
             .with_only_networks(networks)
@@ -119,7 +119,7 @@ impl Node {
     /// Takes part in discovery, on a thread of its own.
     pub(crate) fn spin(&mut self) -> Result<(), String> {
         let spinner = self.node.spinner().map_err(network)?;
-        start("discovery", move || {
+        start_thread("discovery", move || {
             if let Err(error) = block_on(spinner.spin()) {
                 tracing::error!(%error, "discovery has ended");
             }
@@ -148,7 +148,7 @@ impl Node {
 }
 
 /// Starts a detached thread, which ends with the process.
-pub(crate) fn start(name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), String> {
+pub(crate) fn start_thread(name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), String> {
     let started = thread::Builder::new().name(name.to_owned()).spawn(run);
     let started = started.map(drop);
     started.map_err(|error| format!("can't start: {error}"))

@@ -9,7 +9,7 @@ use singletrack_api::{ClientError, Clocks, MessageStream, Received, Request, ask
 use crate::{
     frames::Encoded,
     message::{DiagnosticArray, DiagnosticStatus, Header, Now, Text, Time},
-    node::{Node, latched, prompt, start as start_thread},
+    node::{Node, latched, prompt, start_thread},
     shared::{Arguments, Car, Counts, Shared},
 };
 
