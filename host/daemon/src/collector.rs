@@ -22,14 +22,12 @@ use singletrack_protocol::BoardMode;
 use singletrack_record::{Encoder, Entry, FeedInput, Level, TickOutput};
 
 use crate::{
-    clock::{monotonic_ns, wall_ns},
-    drive_calibration::DriveCalibration,
-    drive_noise::DriveNoise,
+    clock::{WallWatch, describe_step, monotonic_ns, wall_ns},
+    drive_findings::{DriveCalibration, DriveNoise},
     files::ProofChange,
     log::logged,
     reconfigure::Reconfigurer,
     shared_status::SharedStatus,
-    wall_watch::{self, WallWatch},
 };
 
 /// The longest sleep: the control thread wakes the collector after every tick.
@@ -83,7 +81,7 @@ impl Collector {
     fn distribute(&mut self) {
         let now_ns = monotonic_ns();
         if let Some(step_ns) = self.wall.update(now_ns, wall_ns()) {
-            self.log(now_ns, Level::Info, wall_watch::describe(step_ns));
+            self.log(now_ns, Level::Info, describe_step(step_ns));
         }
         while let Ok(entry) = self.entries.try_recv() {
             self.entry(entry);

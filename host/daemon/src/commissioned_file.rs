@@ -16,7 +16,7 @@ use singletrack_core::{
     configuration_hash,
 };
 
-use crate::{clock::wall_ns, json_file::JsonFile};
+use crate::{clock::wall_ns, state_file::JsonFile};
 
 /// The name of the file in `state.directory`.
 const NAME: &str = "commissioned.json";

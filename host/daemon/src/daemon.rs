@@ -23,28 +23,24 @@ use singletrack_record::{ClockMapping, Encoder, RecordError};
 use tracing::{error, info, warn};
 
 use crate::{
-    clock::{monotonic_ns, wall_ns},
+    clock::{WallWatch, monotonic_ns, wall_ns},
     collector::Collector,
     commissioned_file::CommissionedFile,
     control_thread::{self, ControlThreadState, SetOnDrop},
-    drive_calibration::DriveCalibration,
-    drive_noise::DriveNoise,
+    drive_findings::{DriveCalibration, DriveNoise},
     files::Files,
     files::FreeSpace,
     handle::{DaemonHandle, Snapshot},
-    mocap_receiver,
-    mocap_socket::MocapSockets,
+    mocap_receiver::{self, MocapSockets},
     realtime::{self, RealTimeStatus},
     reconfigure::Reconfigurer,
     recording::{self, RunningRecord},
-    serial_reader,
+    serial_port,
     shared_status::SharedStatus,
     socket::{BoundSocket, Drives, SocketThread},
     state_file::StateFile,
     summary::Summary,
-    threads::NamedThread,
-    wake::StopFlag,
-    wall_watch::WallWatch,
+    threads::{NamedThread, StopFlag},
 };
 
 /// What a start needs besides the configuration.
@@ -233,7 +229,7 @@ impl Daemon {
         let status = Arc::clone(&daemon.handle.status);
         daemon.reader = Some(NamedThread::spawn("serial", move || {
             realtime::make_prompt(fifo_priority);
-            serial_reader::run(reader, serial, status, &reader_stop)
+            serial_port::run(reader, serial, status, &reader_stop)
         })?);
         let receiver = host.receiver;
         daemon.receiver = Some(NamedThread::spawn("mocap", move || {
@@ -251,7 +247,7 @@ impl Daemon {
     fn start_control(
         &mut self,
         config: &Config,
-        mut control: ControlLoop<crate::serial_port::WriteHalf>,
+        mut control: ControlLoop<serial_port::WriteHalf>,
         collector: thread::Thread,
     ) -> Result<thread::Thread, String> {
         let priority = config.control.realtime_priority;

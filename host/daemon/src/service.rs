@@ -16,7 +16,7 @@ use crate::{
     log::log_summary,
     monotonic_ns,
     notify::{READY, STOPPING, ServiceManager, Watchdog},
-    signals::{Signal, Signals},
+    system::{Signal, Signals},
 };
 
 /// The longest time from the first signal until the control thread has stopped the car

@@ -1,15 +1,17 @@
-//! The state file: what the daemon remembers from one start to the next.
+//! The JSON files in `state.directory`; one is the state file: what the daemon remembers from one start
+//! to the next.
 //!
 //! It holds the configurations that a car has proved on its first metre. Without the file, or
 //! with one that can't be read, nothing is proved, and the next drive begins slowly: the file
 //! only saves time.
 
-use std::{io, path::Path};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use singletrack_core::{MAX_PROOFS, Proof, Proofs};
-
-use crate::json_file::JsonFile;
 
 /// The name of the file in `state.directory`.
 const NAME: &str = "proved.json";
@@ -98,10 +100,92 @@ impl StateFile {
     }
 }
 
+/// Longer than every valid file, in bytes.
+const LONGEST: u64 = 65_536;
+
+/// A JSON file whose content has the key `version`. It is replaced as a whole: a loss of power leaves the
+/// old one or the new one.
+#[derive(Clone, Debug)]
+pub(crate) struct JsonFile {
+    path: PathBuf,
+    /// A file of another version counts as absent.
+    version: u32,
+}
+
+/// The version of a content, which may have any other keys.
+#[derive(Deserialize)]
+struct Version {
+    version: u32,
+}
+
+impl JsonFile {
+    pub(crate) fn new(path: PathBuf, version: u32) -> Self {
+        Self { path, version }
+    }
+
+    /// The content, or `None` without a file. A file that can't be read also counts as absent,
+    /// and is logged together with the `consequence`.
+    pub(crate) fn load<T: DeserializeOwned>(&self, consequence: &str) -> Option<T> {
+        match self.read() {
+            Ok(content) => Some(content),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            Err(error) => {
+                tracing::warn!("{}: {error}; {consequence}", self.path.display());
+                None
+            }
+        }
+    }
+
+    /// The content.
+    ///
+    /// # Errors
+    ///
+    /// The system's error, or why the file is not valid.
+    pub(crate) fn read<T: DeserializeOwned>(&self) -> io::Result<T> {
+        let length = fs::metadata(&self.path)?.len();
+        if length > LONGEST {
+            return Err(io::Error::other(format!(
+                "it is {length} bytes long, at most {LONGEST} are valid"
+            )));
+        }
+        let text = fs::read_to_string(&self.path)?;
+        let damaged = |error| io::Error::other(format!("it is damaged: {error}"));
+        let Version { version } = serde_json::from_str(&text).map_err(damaged)?;
+        if version != self.version {
+            return Err(io::Error::other(format!(
+                "its version is {version}, not {}",
+                self.version
+            )));
+        }
+        serde_json::from_str(&text).map_err(damaged)
+    }
+
+    /// Replaces the file, and creates its folder if needed.
+    ///
+    /// # Errors
+    ///
+    /// The system's error: the file is as before.
+    pub(crate) fn replace(&self, content: &impl Serialize) -> io::Result<()> {
+        let folder = self.path.parent().unwrap_or(Path::new("."));
+        fs::create_dir_all(folder)?;
+        let mut text = serde_json::to_vec_pretty(content)?;
+        text.push(b'\n');
+        singletrack_record::replace(&self.path, &text)
+    }
+
+    /// Deletes a file that could not be replaced, which also works on a full disk: rather no
+    /// result than a wrong one.
+    ///
+    /// # Errors
+    ///
+    /// The `error` of the replacement, which says more than that of the deletion.
+    pub(crate) fn delete_after(&self, error: io::Error) -> io::Result<()> {
+        fs::remove_file(&self.path).map_err(|_| error)
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use std::{fs, path::PathBuf};
-
     use super::*;
 
     fn read(path: &Path) -> io::Result<Vec<Proof>> {

@@ -13,7 +13,7 @@ use singletrack_core::{
 use singletrack_pilot::{Mode, PilotRequest, Reason, Tuned, Tuning};
 use tokio::{task::spawn_blocking, time::timeout};
 
-use super::{arm::warnings, command::ParseError, progress::next_tick, setpoint::reject};
+use super::{arm::warnings, command::ParseError, drives::next_tick, setpoint::reject};
 use crate::{
     clock::{monotonic_ns, wall_ns},
     commissioned_file::subject,

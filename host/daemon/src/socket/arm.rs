@@ -20,8 +20,7 @@ use tokio::{
 
 use super::{
     command::{Arm, Attendance},
-    drives::Ticket,
-    progress::{DriveWatch, Progress, cannot_arm, not_ready},
+    drives::{DriveWatch, Progress, Ticket, cannot_arm, not_ready},
 };
 use crate::{
     clock::monotonic_ns,

@@ -14,18 +14,15 @@ mod attend;
 mod bind;
 mod command;
 mod drives;
-mod progress;
 mod serve;
 mod setpoint;
 mod stream;
-mod tcp;
 #[cfg(test)]
 mod tests;
-mod thread;
 
 pub(crate) use bind::BoundSocket;
 pub use command::{Arm, Attendance, Command, ParseError};
 pub(crate) use drives::Drives;
+pub(crate) use serve::SocketThread;
 pub(crate) use setpoint::Newest;
 pub use setpoint::SetpointFigures;
-pub(crate) use thread::SocketThread;
