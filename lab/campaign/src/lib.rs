@@ -15,12 +15,13 @@
 //! singletrack-faults --from faults.jsonl                                 the report
 //! ```
 
-mod file;
-mod run;
+mod campaign;
 mod shard;
 
-pub use file::{FORMAT, Header, MergeArgs, ResultFile, merge_files, run_merge};
-pub use run::{Campaign, CampaignArgs, run_shown};
+pub use campaign::{
+    Campaign, CampaignArgs, FORMAT, Header, MergeArgs, ResultFile, merge_files, run_merge,
+    run_shown,
+};
 pub use shard::{Experiment, Results, Shard, ShardError, run_units, thread_count};
 
 /// A value, or a sentence for the user about why there is none.
