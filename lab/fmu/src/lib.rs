@@ -3,10 +3,8 @@
 //!
 //! The library has the C interface of the standard; the program `singletrack-fmu` packs it.
 
-mod description;
 mod instance;
 mod interface;
 mod variables;
 
-pub use description::description;
-pub use variables::Unit;
+pub use variables::{Unit, description};
