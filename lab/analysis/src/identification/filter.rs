@@ -8,9 +8,8 @@ use singletrack_control::wrap;
 use super::{
     data::{Channel, Drive, DriveData},
     model::Model,
-    noise::{LEAST_FORCE, NoiseLevels},
     parameter::Values,
-    problem::Settings,
+    settings::{LEAST_FORCE, NoiseLevels, Settings},
     timeline::{EventHandler, STATES, StateEstimate},
 };
 
@@ -43,6 +42,19 @@ pub(super) struct Innovation {
     pub(super) variance: f64,
 }
 
+/// The prediction errors of a channel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Residuals {
+    /// The channel.
+    pub channel: Channel,
+    /// Time of each error, in s.
+    pub times_s: Vec<f64>,
+    /// Each error over its predicted standard deviation.
+    pub values: Vec<f64>,
+    /// Autocorrelation at lags of one sample and more.
+    pub autocorrelation: Vec<f64>,
+}
+
 /// The estimate of the filter after an inertial sample.
 #[derive(Clone, Copy, Debug)]
 pub struct TrackPoint {
@@ -66,6 +78,9 @@ pub(super) struct FilterRun {
     pub(super) track: Vec<TrackPoint>,
 }
 
+/// Number of lags of the autocorrelation.
+const LAGS: usize = 20;
+
 impl FilterRun {
     /// Logarithm of the likelihood up to a constant.
     pub(super) fn likelihood(&self) -> f64 {
@@ -73,6 +88,41 @@ impl FilterRun {
         let terms = terms.map(|one| one.variance.ln() + one.value * one.value / one.variance);
         -0.5 * terms.sum::<f64>()
     }
+
+    /// The prediction errors, by channel.
+    pub(super) fn residuals(&self) -> Vec<Residuals> {
+        let residuals = Channel::ALL.map(|channel| {
+            let of_channel = self.innovations.iter();
+            let of_channel = of_channel.filter(|innovation| innovation.channel == channel);
+            let (times_s, values): (Vec<f64>, Vec<f64>) = of_channel
+                .map(|one| (one.time_s, one.value / one.variance.sqrt()))
+                .unzip();
+            Residuals {
+                channel,
+                autocorrelation: autocorrelation(&values),
+                times_s,
+                values,
+            }
+        });
+        residuals.into()
+    }
+}
+
+fn autocorrelation(values: &[f64]) -> Vec<f64> {
+    let count = values.len().max(1) as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let product = |lag: usize| -> f64 {
+        let later = values.iter().skip(lag);
+        values
+            .iter()
+            .zip(later)
+            .map(|(one, other)| (one - mean) * (other - mean))
+            .sum()
+    };
+    let all = product(0);
+    (1..=LAGS.min(values.len().saturating_sub(1)))
+        .map(|lag| if all > 0.0 { product(lag) / all } else { 0.0 })
+        .collect()
 }
 
 /// Runs the filter along the stretches of a drive. None where the model is not defined.

@@ -19,33 +19,26 @@
 
 mod data;
 mod error;
-mod estimate;
 mod filter;
 mod fit;
 mod identify;
 mod least_squares;
 mod model;
-mod noise;
 mod parameter;
-mod plausibility;
 mod predictor;
-mod problem;
-mod score;
+mod settings;
 mod simulation;
 mod simulation_fit;
 mod timeline;
-mod uncertainty;
 mod warning;
 
 pub use data::{Channel, DriveData, Inertial, Pose, ServoFrames, ServoTarget, Span};
 pub use error::IdentificationError;
-pub use estimate::Estimate;
-pub use filter::TrackPoint;
+pub use filter::{Residuals, TrackPoint};
+pub use fit::Estimate;
 pub use identify::{Identification, cramer_rao, identify, validate};
-pub use noise::NoiseLevels;
 pub use parameter::{Parameter, Values};
-pub use problem::{Criterion, Settings};
-pub use score::{Output, OutputScore, Residuals, Score};
-pub use simulation::SimulationPoint;
+pub use settings::{Criterion, NoiseLevels, Settings};
+pub use simulation::{Output, OutputScore, Score, SimulationPoint};
 pub use singletrack_control::Tyres;
 pub use warning::Warning;

@@ -5,7 +5,7 @@ use singletrack_control::{Axles, SingleTrackState, SlipAngles, VehicleParameters
 
 use super::{
     parameter::{COUNT, Parameter, Values},
-    problem::Settings,
+    settings::Settings,
 };
 use crate::dual::{Dual, DualFunctions};
 

@@ -8,9 +8,10 @@
 use super::{
     data::{Drive, DriveData},
     filter::{Gain, Gains},
+    least_squares::Problem,
     model::Model,
     parameter::Values,
-    problem::{Problem, Settings},
+    settings::Settings,
     timeline::{EventHandler, STATES, StateEstimate},
 };
 use crate::dual::Dual;
@@ -123,8 +124,8 @@ mod tests {
         super::{
             data::{Inertial, Pose, ServoTarget, Span},
             filter::run_filter,
-            noise::NoiseLevels,
             parameter::{COUNT, Parameter},
+            settings::NoiseLevels,
         },
         *,
     };

@@ -15,13 +15,12 @@ use super::{
     data::{self, Channel, GyroScale, ServoFrames, ServoTarget, Span},
     error::Result,
     filter::FilterRun,
-    fit::{Fit, Task},
+    fit::{Fit, Task, spread},
+    least_squares::Problem,
     model::Model,
-    noise::NoiseLevels,
     parameter::Parameter,
-    problem::Problem,
+    settings::NoiseLevels,
     simulation::{Inputs, Sample},
-    uncertainty::spread,
 };
 use crate::dual::Dual;
 

@@ -5,12 +5,11 @@ use singletrack_control::{GRAVITY, Tyres};
 
 use super::{
     data::{Channel, Span},
-    estimate::Estimate,
-    filter::TrackPoint,
-    fit::Fit,
+    filter::{Residuals, TrackPoint},
+    fit::{Estimate, Fit},
     parameter::Parameter,
-    problem::Criterion,
-    score::{Output, Residuals, Score},
+    settings::Criterion,
+    simulation::{Output, Score},
 };
 
 /// A reason to doubt an identification.

@@ -18,10 +18,9 @@ use num_dual::DualSVec64;
 use super::{
     closed_loop::{ClosedLoop, Law},
     hopf::HopfPoint,
-    limits::MOST_STEPS,
     lyapunov::null_vector,
     motion::Motion,
-    vector_field::{FrontPointField, VectorField, VelocityPointField},
+    vector_field::{FrontPointField, MOST_STEPS, VectorField, VelocityPointField},
 };
 
 /// A periodic motion around the straight one.

@@ -14,32 +14,29 @@
 //! direction.
 
 mod attraction;
-mod basin;
 mod characteristic;
 mod closed_loop;
 mod cycles;
 mod hopf;
 mod interval;
-mod limits;
 mod lyapunov;
 mod motion;
-mod one_length;
 mod sampled;
 mod vector_field;
 
 pub use attraction::Attraction;
-pub use basin::Basin;
 pub use characteristic::CharacteristicPolynomial;
 pub use closed_loop::{Belief, ClosedLoop, Law, Saturation, StabilityError};
 pub use cycles::{CycleBranch, LimitCycle};
 pub use hopf::{
-    Criticality, HopfPoint, critical_speed, hopf_points, infinite_speed_limit,
+    Criticality, HopfPoint, OneLength, critical_speed, hopf_points, infinite_speed_limit,
     smallest_point_distance,
 };
-pub use limits::{Eigenvalues, first_unstable_speed, least_point_distance};
 pub use lyapunov::Lyapunov;
-pub use one_length::OneLength;
+pub use motion::Basin;
 pub use sampled::{
     Ages, Compensation, IrregularLimits, LyapunovFunction, MarginLimits, Prediction, RandomLosses,
-    SampledLoop, SamplingError, Servo, Switched, Timing, UnstablePattern,
+    SampledLoop, SamplingError, Servo, Switched, Timing, UnstablePattern, first_unstable_speed,
+    least_point_distance,
 };
+pub use vector_field::Eigenvalues;

@@ -4,8 +4,10 @@ use nalgebra::{DMatrix, DVector};
 
 use super::{
     SampledLoop,
-    compensation::{Compensation, Modelled},
-    plant::{Delay, POSITION, Plant, Prediction, SIDESLIP, STEERING, Steering, YAW, YAW_RATE},
+    plant::{
+        Compensation, Delay, Modelled, POSITION, Plant, Prediction, SIDESLIP, STEERING, Steering,
+        YAW, YAW_RATE,
+    },
 };
 use crate::stability::{
     characteristic::symbols,

@@ -1,10 +1,84 @@
-//! Noise levels of the sensors and of the road, and how they are measured.
+//! The choices of an identification, and the noise levels of the sensors and of the road: how they are
+//! measured.
 
 use core::array::from_fn;
 
-use singletrack_control::{GRAVITY, VehicleParameters, wrap};
+use singletrack_control::{GRAVITY, SlipAngles, Tyres, VehicleParameters, words, wrap};
 
-use super::data::{Channel, DriveData, Inertial, MEDIAN_OF_NORMAL, Pose, Span, are_at, median};
+use super::{
+    data::{
+        Channel, DriveData, Inertial, MEDIAN_OF_NORMAL, Pose, ServoFrames, Span, are_at, median,
+    },
+    parameter::Parameter,
+};
+
+words! {
+    /// What a fit minimises.
+    pub enum Criterion {
+        /// The errors of the prediction of each sample from those before it: the most exact, if the
+        /// model is right.
+        Prediction = "prediction",
+        /// The errors of the model alone, without a correction since the stretch began: what a
+        /// simulation of the car needs, and robust against behaviour that the model lacks.
+        Simulation = "simulation",
+    }
+}
+
+/// The parameters, model and noise levels of an identification.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// The parameters to estimate. The others keep their start values, those of
+    /// [`Parameter::NUISANCE`] included.
+    pub parameters: Vec<Parameter>,
+    /// The force curve of the tyres.
+    pub tyres: Tyres,
+    /// The slip angles of the model.
+    pub slip_angles: SlipAngles,
+    /// Dead time and lag of the steering (s) where the fit starts, and about which their priors are; none
+    /// for those of [`Values::of`](super::Values::of).
+    pub steering: Option<[f64; 2]>,
+    /// The board's periods that begin a servo pulse; none to estimate them.
+    pub frames: Option<ServoFrames>,
+    /// Noise levels, or their start values if they are estimated.
+    pub noise: NoiseLevels,
+    /// Estimates the noise levels too.
+    pub estimate_noise: bool,
+    /// What is minimised; none for the prediction, and for the simulation where forces that the model does
+    /// not explain make the prediction's parameters simulate much worse.
+    pub criterion: Option<Criterion>,
+    /// The smallest speed that is used, in m/s: at lower speeds the tyres hardly slip.
+    pub least_speed: f64,
+}
+
+impl Default for Settings {
+    /// The paper's three parameters and those that must be estimated jointly with them.
+    fn default() -> Self {
+        Self::of(&Parameter::VEHICLE)
+    }
+}
+
+impl Settings {
+    /// These parameters and [`Parameter::NUISANCE`], which must be estimated jointly.
+    pub fn of(parameters: &[Parameter]) -> Self {
+        let mut all = Vec::new();
+        for parameter in parameters.iter().chain(&Parameter::NUISANCE) {
+            if !all.contains(parameter) {
+                all.push(*parameter);
+            }
+        }
+        Self {
+            parameters: all,
+            tyres: Tyres::default(),
+            slip_angles: SlipAngles::default(),
+            steering: None,
+            frames: None,
+            noise: NoiseLevels::usual(),
+            estimate_noise: true,
+            criterion: None,
+            least_speed: 0.5,
+        }
+    }
+}
 
 /// Standard deviations of measurement and process noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
