@@ -14,7 +14,7 @@ use std::{
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, value::RawValue};
 
 use crate::{
@@ -96,22 +96,6 @@ fn program(files: Vec<PathBuf>) -> Result<String> {
 }
 
 impl ResultFile {
-    /// With these results.
-    fn of(header: Header, results: &[(u64, impl Serialize)]) -> Result<Self> {
-        let lines = results.iter();
-        let lines = lines.map(|(unit, result)| Ok((*unit, serde_json::to_string(result)?)));
-        let results = lines.collect::<Result<_>>()?;
-        Ok(Self { header, results })
-    }
-
-    /// The results, of a type that another version may have had otherwise.
-    fn parsed<R: DeserializeOwned>(&self) -> Result<Vec<(u64, R)>> {
-        let results = self.results.iter();
-        results
-            .map(|(unit, text)| Ok((*unit, serde_json::from_str(text)?)))
-            .collect()
-    }
-
     /// Reads a file. It has all units of its shard and no other.
     ///
     /// # Errors
@@ -168,16 +152,6 @@ impl ResultFile {
             text += &format!("{{\"unit\":{unit},\"result\":{result}}}\n");
         }
         Ok(text)
-    }
-
-    /// Checks that a file can be written.
-    ///
-    /// # Errors
-    ///
-    /// The system's error.
-    fn check_writable(path: &Path) -> Result {
-        tempfile::tempfile_in(folder(path)).map_err(system_error("write", path))?;
-        Ok(())
     }
 
     /// Writes the file, as a whole or not at all: a shard that was ended leaves no part.
@@ -338,14 +312,17 @@ impl<E: Experiment> Campaign<E> {
         let shard = arguments.shard.unwrap_or(Shard::WHOLE);
         if let Some(path) = &arguments.json {
             // Before hours of work.
-            ResultFile::check_writable(path)?;
+            tempfile::tempfile_in(folder(path)).map_err(system_error("write", path))?;
         }
         let units: Vec<u64> = shard.units(experiment.units()).collect();
         let work = |unit| experiment.run(unit);
         let results = run_shown(E::NAME, &units, arguments.threads(), work)?;
         if let Some(path) = &arguments.json {
             let header = Header::of(&experiment, shard)?;
-            ResultFile::of(header, &results)?.write(path)?;
+            let texts = results.iter();
+            let texts = texts.map(|(unit, result)| Ok((*unit, serde_json::to_string(result)?)));
+            let results = texts.collect::<Result<_>>()?;
+            ResultFile { header, results }.write(path)?;
         }
         Ok(Self {
             experiment,
@@ -368,13 +345,14 @@ impl<E: Experiment> Campaign<E> {
         }
         let experiment = serde_json::from_value(file.header.options.clone());
         let experiment = experiment.map_err(|error| other(format!("its options: {error}")))?;
-        let results = file
-            .parsed()
-            .map_err(|error| other(format!("another version wrote it: {error}")))?;
+        let results = file.results.iter();
+        let results = results.map(|(unit, text)| Ok((*unit, serde_json::from_str(text)?)));
+        let results = results.collect::<Result<_, serde_json::Error>>();
         Ok(Self {
             experiment,
             shard: Shard::WHOLE,
-            results,
+            results: results
+                .map_err(|error| other(format!("another version wrote it: {error}")))?,
         })
     }
 }

@@ -3,7 +3,6 @@
 //! Every controller drives the same car with the same seeds: the complete host with its
 //! supervisor, the board, noisy and late cameras. The errors are those of the true car.
 
-mod condition;
 mod controller;
 mod counted;
 mod course;
@@ -22,12 +21,11 @@ use singletrack_figures::output::{make_folder, write};
 
 use crate::{Result, print};
 
-pub use condition::Condition;
 pub use controller::{Controller, ControllerName};
 pub use counted::{AddedDelay, DriveError, DriveResult, Effort, Errors, OwnPoint};
 pub use course::PathName;
 use course::TEST_PATHS;
-pub use drive::Decide;
+pub use drive::{Condition, Decide};
 pub use plan::{BUDGET, Comparison, Row};
 pub use table::{
     DELAYS_HEADER, DelayLine, HEADER, Line, csv, delays, delays_csv, delays_markdown, figure,

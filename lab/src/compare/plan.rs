@@ -7,11 +7,10 @@ use singletrack_campaign::{Experiment, run_shown};
 use singletrack_control::Reference;
 
 use super::{
-    condition::Condition,
     controller::{Controller, ControllerName, Drives},
     counted::{DriveResult, OwnPoint},
     course::{Course, PathName},
-    drive::{Case, Decide},
+    drive::{Case, Condition, Decide},
 };
 use crate::Result;
 

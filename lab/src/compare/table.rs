@@ -6,10 +6,9 @@ use singletrack_control::statistics::{Distribution, Random};
 use singletrack_figures::figure::{Axis, Estimate, Figure, Mark, MarkKind, Panel};
 
 use super::{
-    condition::{Condition, WORST},
     controller::ControllerName,
     counted::{DriveResult, Effort, Errors},
-    drive::{DIVERGED, LONGEST_DELAY_MS},
+    drive::{Condition, DIVERGED, LONGEST_DELAY_MS, WORST},
     plan::{Comparison, Row},
 };
 

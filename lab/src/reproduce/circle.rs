@@ -12,12 +12,10 @@ use singletrack_scenario::{
 
 use super::{
     GAIN, Setup, TURN_RATE,
-    claims::{Below, Near, Scope},
     drive::{Drives, PLANTS, Run},
     largest, least, pictures,
-    section::{Picture, Section},
+    section::{Below, Near, Picture, Scope, Section, metres, number, told, with_digits},
     steps,
-    text::{metres, number, told, with_digits},
 };
 
 /// Start of P on the path behind its reference, in rad. At distance zero the position loop

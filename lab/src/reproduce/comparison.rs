@@ -12,15 +12,12 @@ use singletrack_scenario::simulate::Scenario;
 
 use super::{
     Setup, assumptions,
-    claims::{Above, Below, Near, Scope},
-    diagrams,
     drive::{Drives, Run, ideal},
     largest, pictures,
-    section::{Picture, Section},
+    section::{Above, Below, Near, Picture, Scope, Section, metres, mm, number, told, with_digits},
     steps,
-    text::{metres, mm, number, told, with_digits},
 };
-use crate::table::Table;
+use crate::Table;
 
 /// The deviation dl of the laws' centre of mass to the rear, for the paper's car, in m.
 const DEVIATION_M: f64 = 0.01;
@@ -318,7 +315,7 @@ fn plates(setup: &Setup, drives: &Drives, section: &mut Section) {
         "Position of P for the alternative law",
         "A drawing of the point P of the appendix's law.",
         "The same, of this car, to scale, beside that of the proposed law.",
-        vec![diagrams::points(setup)],
+        vec![pictures::points(setup)],
     );
     let mut steps = pictures("right", "right", "dl = 0", Run::trajectory);
     steps.extend(pictures("deviation", "deviation", &wrong, Run::trajectory));

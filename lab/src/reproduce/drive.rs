@@ -8,7 +8,7 @@ use singletrack_scenario::simulate::{
 };
 
 use super::largest;
-use crate::{Result, table::Table};
+use crate::{Result, Table};
 
 /// The state that the controller estimated at one time.
 #[derive(Clone, Copy, Debug)]

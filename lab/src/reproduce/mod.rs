@@ -3,9 +3,7 @@
 
 mod assumptions;
 mod circle;
-mod claims;
 mod comparison;
-mod diagrams;
 mod drive;
 mod model;
 mod output;
@@ -14,7 +12,6 @@ mod sampled;
 mod section;
 mod stability;
 mod steps;
-mod text;
 
 use std::{
     path::{Path, PathBuf},
@@ -29,8 +26,7 @@ use singletrack_core::config::{LawKind, LawSection};
 use singletrack_scenario::simulate::Scenario;
 
 use crate::{Result, vehicle_file};
-use claims::Claim;
-use section::Section;
+use section::{Claim, Section};
 
 /// Options of `singletrack reproduce`.
 #[derive(Clone, Debug, Args)]

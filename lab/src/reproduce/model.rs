@@ -9,16 +9,12 @@ use singletrack_scenario::simulate::{self, Scenario};
 use singletrack_sim::CarTruth;
 
 use super::{
-    Setup, assumptions,
-    claims::{Above, Near, Scope},
-    diagrams, largest, least,
-    section::{Picture, Section},
-    text::with_digits,
+    Setup, assumptions, largest, least, pictures,
+    section::{Above, Near, Picture, Scope, Section, with_digits},
 };
 use crate::{
-    Result,
+    Result, Table,
     identify::{self, IdentifyArgs, Report},
-    table::Table,
     vehicle_file,
 };
 
@@ -127,7 +123,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
         "Single-track vehicle model",
         "The quantities used to derive the motion model.",
         "The same, of this car, to scale.",
-        vec![diagrams::single_track(setup)],
+        vec![pictures::single_track(setup)],
     );
     let Some(report) = report else {
         return section;

@@ -16,10 +16,8 @@ use singletrack_scenario::csv_text::csv_text;
 
 use super::{
     Reproduction,
-    claims::{Claim, Quantity, Verdict},
-    section::{Plate, Section},
+    section::{Claim, Plate, Quantity, Section, Verdict, number, with_digits},
     surprises,
-    text::{number, with_digits},
 };
 use crate::Result;
 
@@ -456,11 +454,11 @@ fn vehicle(reproduction: &Reproduction) -> String {
 mod tests {
     use super::*;
     use crate::{
+        Table,
         reproduce::{
             Setup,
-            claims::{Near, Scope},
+            section::{Near, Scope},
         },
-        table::Table,
     };
 
     #[test]

@@ -4,12 +4,9 @@ use indicatif::ProgressBar;
 use singletrack_analysis::stability::{ClosedLoop, Law, MarginLimits};
 
 use super::{
-    Setup,
-    claims::{Below, Near, Scope},
-    largest,
-    section::{Picture, Section},
+    Setup, largest,
+    section::{Below, Near, Picture, Scope, Section, number, with_digits},
     stability::{scene, subject},
-    text::{number, with_digits},
 };
 use crate::stability::{Grid, TimingArgs, figures, first_unstable, sampled_map, sampled_table};
 

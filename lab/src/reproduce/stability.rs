@@ -9,11 +9,8 @@ use singletrack_control::VehicleParameters;
 use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol};
 
 use super::{
-    Setup, assumptions,
-    claims::{Above, Below, Near, Scope},
-    largest, least,
-    section::{Picture, Section},
-    text::{metres, mm, number, told, with_digits},
+    Setup, assumptions, largest, least,
+    section::{Above, Below, Near, Picture, Scope, Section, metres, mm, number, told, with_digits},
 };
 use crate::stability::{
     EigenvalueRow, Grid, Subject, eigenvalue_map, eigenvalue_table,

@@ -8,12 +8,9 @@ use singletrack_scenario::simulate::{MarkerLoss, PlantKind, Scenario, StartSecti
 
 use super::{
     Setup, assumptions,
-    claims::{Above, Below, Near, Scope},
-    diagrams,
     drive::{Drives, PLANTS, Run, ideal},
     largest, least, pictures,
-    section::{Picture, Section},
-    text::{self, metres, mm, number, with_digits},
+    section::{self, Above, Below, Near, Picture, Scope, Section, metres, mm, number, with_digits},
 };
 
 /// Velocities of P, in m/s, for the paper's car: a sequence that turns P through 225
@@ -293,11 +290,11 @@ fn plates(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Sec
         "Uncertainty of the centre of mass",
         "A drawing of the true and the estimated centre of mass.",
         "The same, of this car, to scale, and the point that the law steers then.",
-        vec![diagrams::uncertainty(setup)],
+        vec![pictures::uncertainty(setup)],
     );
     let right = |plant| drives.get("right", plant);
     let told = |case, plant, value: fn(&Run) -> f64, unit| {
-        text::told(drives.get(case, plant).map(value), unit)
+        section::told(drives.get(case, plant).map(value), unit)
     };
     if let Some(run) = right("ideal").or(right("car")) {
         let fastest = largest(run.rows.iter().map(|row| row.v_px.hypot(row.v_py)));
@@ -417,8 +414,8 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
              when the car has turned by 180°, nothing after a full turn. On the car, {} at most \
              from where P goes with the right l<sub>f</sub>.",
             number(residual),
-            text::told(Some(rear.largest_deviation()), "m"),
-            text::told(apart(drives, "rear", "right"), "m")
+            section::told(Some(rear.largest_deviation()), "m"),
+            section::told(apart(drives, "rear", "right"), "m")
         ),
         vec![Picture::new(
             "steps-deviation",

@@ -14,7 +14,7 @@ use super::{
     figures,
     subject::{Format, Grid, Subject, write, write_json},
 };
-use crate::{Result, table::Table};
+use crate::{Result, Table};
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct BasinArgs {

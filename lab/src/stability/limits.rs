@@ -12,7 +12,7 @@ use super::{
     arguments::{CarArgs, LoopArgs, PointArgs, TimingArgs},
     subject::{Format, Grid, Subject, write, write_numbers},
 };
-use crate::{Result, table::Table};
+use crate::{Result, Table};
 
 /// The searched speeds, in m/s.
 pub(super) const SEARCHED_SPEEDS: [f64; 2] = [0.1, 20.0];

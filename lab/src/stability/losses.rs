@@ -13,7 +13,7 @@ use super::{
     arguments::{LoopArgs, PointArgs, TimingArgs},
     subject::{Format, Grid, Subject, write, write_numbers},
 };
-use crate::{Result, table::Table};
+use crate::{Result, Table};
 
 /// Options of `losses`.
 #[derive(Clone, Debug, Args)]

@@ -4,7 +4,6 @@
 mod arguments;
 mod basin;
 pub mod figures;
-mod hopf;
 mod limits;
 mod losses;
 mod maps;
@@ -19,9 +18,11 @@ use singletrack_figures::figure::GridError;
 use crate::Result;
 
 pub use arguments::TimingArgs;
-pub use hopf::{hopf_curve, hopf_table, limit_cycles};
 pub use limits::{SampledRow, first_unstable, least_p, sampled_map, sampled_table};
-pub use maps::{EigenvalueRow, RegionRow, eigenvalue_map, eigenvalue_table, region};
+pub use maps::{
+    EigenvalueRow, RegionRow, eigenvalue_map, eigenvalue_table, hopf_curve, hopf_table,
+    limit_cycles, region,
+};
 pub use subject::{Grid, Subject};
 
 /// Options of `singletrack stability`.
@@ -36,9 +37,9 @@ enum StabilityCommand {
     /// In words: where each law is stable, with the car's own numbers.
     Summary(summary::SummaryArgs),
     /// Hopf bifurcations over dl: frequency and first Lyapunov coefficient.
-    Hopf(hopf::HopfArgs),
+    Hopf(maps::HopfArgs),
     /// Limit cycles from the Hopf points on: amplitude, period, Floquet multiplier, folds.
-    Cycles(hopf::CyclesArgs),
+    Cycles(maps::CyclesArgs),
     /// The yaw errors from which the straight motion is regained, over speed and p.
     Basin(basin::BasinArgs),
     /// Regions of attraction of the straight motion over speed, with proofs, beside the simulated basin.
@@ -69,8 +70,8 @@ enum StabilityCommand {
 pub fn run(args: &StabilityArgs) -> Result {
     let result = match &args.command {
         StabilityCommand::Summary(args) => summary::run(args),
-        StabilityCommand::Hopf(args) => hopf::run(args),
-        StabilityCommand::Cycles(args) => hopf::run_cycles(args),
+        StabilityCommand::Hopf(args) => maps::run_hopf(args),
+        StabilityCommand::Cycles(args) => maps::run_cycles(args),
         StabilityCommand::Basin(args) => basin::run(args),
         StabilityCommand::Attraction(args) => basin::run_attraction(args),
         StabilityCommand::Eigenvalues(args) => maps::run_eigenvalues(args),

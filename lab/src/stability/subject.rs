@@ -11,7 +11,7 @@ use singletrack_analysis::stability::{
 use singletrack_control::VehicleParameters;
 use singletrack_figures::output::print;
 
-use crate::table::Table;
+use crate::Table;
 
 /// A car, its P and its law.
 #[derive(Clone, Copy, Debug)]
