@@ -379,7 +379,10 @@ pub fn cramer_rao(
 /// The stretches that can be used, if they are long enough.
 fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>> {
     data.validate()?;
-    check_unit(data)?;
+    match median(data.speeds().collect()) {
+        Some(median) if median > FASTEST => return Err(IdentificationError::TooFast(median)),
+        _ => {}
+    }
     let least_speed = settings.least_speed.max(1.5 * model::LEAST_SPEED);
     let stretches = data.stretches(least_speed);
     let lengths = stretches.iter().map(Span::seconds);
@@ -403,14 +406,6 @@ fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>> {
             least_speed,
         }
     })
-}
-
-/// Whether the positions have a possible unit.
-fn check_unit(data: &DriveData) -> Result<()> {
-    match median(data.speeds().collect()) {
-        Some(median) if median > FASTEST => Err(IdentificationError::TooFast(median)),
-        _ => Ok(()),
-    }
 }
 
 /// Whether the sensors agree in the stretches.
