@@ -2,7 +2,6 @@
 //! sampled loop that it leaves out.
 
 mod arguments;
-mod basin;
 pub mod figures;
 mod limits;
 mod losses;
@@ -41,9 +40,9 @@ enum StabilityCommand {
     /// Limit cycles from the Hopf points on: amplitude, period, Floquet multiplier, folds.
     Cycles(maps::CyclesArgs),
     /// The yaw errors from which the straight motion is regained, over speed and p.
-    Basin(basin::BasinArgs),
+    Basin(maps::BasinArgs),
     /// Regions of attraction of the straight motion over speed, with proofs, beside the simulated basin.
-    Attraction(basin::AttractionArgs),
+    Attraction(maps::AttractionArgs),
     /// Eigenvalues of the steady motion over speed and dl.
     Eigenvalues(arguments::MapArgs),
     /// Where the steady motion is stable, over speed and dl.
@@ -72,8 +71,8 @@ pub fn run(args: &StabilityArgs) -> Result {
         StabilityCommand::Summary(args) => summary::run(args),
         StabilityCommand::Hopf(args) => maps::run_hopf(args),
         StabilityCommand::Cycles(args) => maps::run_cycles(args),
-        StabilityCommand::Basin(args) => basin::run(args),
-        StabilityCommand::Attraction(args) => basin::run_attraction(args),
+        StabilityCommand::Basin(args) => maps::run_basin(args),
+        StabilityCommand::Attraction(args) => maps::run_attraction(args),
         StabilityCommand::Eigenvalues(args) => maps::run_eigenvalues(args),
         StabilityCommand::Region(args) => maps::run(args),
         StabilityCommand::Sampled(args) => limits::run(args),

@@ -14,7 +14,7 @@ use super::{
     model,
     parameter::{Parameter, Values},
     settings::{Criterion, NoiseLevels, Settings},
-    simulation::{self, Inputs, Score, SimulationPoint},
+    simulation::{self, Score, SimulationPoint},
     warning::{self, Warning},
 };
 
@@ -218,11 +218,8 @@ struct Chosen {
 impl Chosen {
     fn of(task: &Task<'_>, fit: Fit, criterion: Criterion) -> Result<Self> {
         let servo = fit.frames.of(&task.data.servo);
-        let inputs = Inputs {
-            drive: task.drive(&servo),
-            run: &fit.run,
-        };
-        let simulation = simulation::simulate(&inputs, &fit.values, task.settings);
+        let drive = task.drive(&servo);
+        let simulation = simulation::simulate(drive, &fit.run, &fit.values, task.settings);
         let simulation = simulation.ok_or_else(|| task.diverged(&fit.u))?;
         Ok(Self {
             fit,

@@ -52,13 +52,6 @@ pub struct SimulationPoint {
 /// The time after which position and yaw of the model restart, in s.
 const RESTART_S: f64 = 10.0;
 
-/// What is simulated: a drive, and the filter's estimate of its speed and of the biases.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Inputs<'a> {
-    pub(super) drive: Drive<'a>,
-    pub(super) run: &'a FilterRun,
-}
-
 /// The model, alone since the stretch began, at a sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Simulated<D> {
@@ -81,43 +74,46 @@ pub(super) enum Sample {
     Pose(usize),
 }
 
-impl Inputs<'_> {
-    /// Simulates the stretches. None where the model is not defined.
-    pub(super) fn simulate<D: Dual>(&self, model: &Model<D>) -> Option<Vec<Simulated<D>>> {
-        let zero = D::from(0.0);
-        let mut simulator = Simulator {
-            model: *model,
-            track: self.run.track.iter(),
-            estimate: StateEstimate::of([zero; STATES], zero),
-            now: 0.0,
-            since: 0.0,
-            forward_bias: 0.0,
-            points: Vec::with_capacity(self.drive.data.poses.len() + self.run.track.len()),
-        };
-        let order = &self.run.gains.order;
-        self.drive.replay(model, order, &mut simulator)?;
-        Some(simulator.points)
-    }
+/// Simulates the stretches of a drive, with the filter's estimate of its speed and of the biases. None
+/// where the model is not defined.
+pub(super) fn simulated<D: Dual>(
+    drive: Drive<'_>,
+    run: &FilterRun,
+    model: &Model<D>,
+) -> Option<Vec<Simulated<D>>> {
+    let zero = D::from(0.0);
+    let mut simulator = Simulator {
+        model: *model,
+        track: run.track.iter(),
+        estimate: StateEstimate::of([zero; STATES], zero),
+        now: 0.0,
+        since: 0.0,
+        forward_bias: 0.0,
+        points: Vec::with_capacity(drive.data.poses.len() + run.track.len()),
+    };
+    drive.replay(model, &run.gains.order, &mut simulator)?;
+    Some(simulator.points)
 }
 
 /// Simulates the stretches of a drive, beside what was measured: a point per inertial sample. None
 /// where the model is not defined.
 pub(super) fn simulate(
-    inputs: &Inputs<'_>,
+    drive: Drive<'_>,
+    run: &FilterRun,
     values: &Values,
     settings: &Settings,
 ) -> Option<Vec<SimulationPoint>> {
     let model = Model::new(values, *values.all(), settings);
-    let points = inputs.simulate(&model)?.into_iter();
+    let points = simulated(drive, run, &model)?.into_iter();
     let points = points.filter_map(|simulated| {
         let Simulated { motion, left, .. } = simulated;
         let Sample::Inertial(track) = simulated.sample else {
             return None;
         };
-        let sample = inputs.drive.data.inertial[track.inertial];
+        let sample = drive.data.inertial[track.inertial];
         let estimate = track.estimate;
         let unbiased = sample.yaw_rate_rad_s - estimate.gyro_bias;
-        let seen = seen(&inputs.drive.data.poses, simulated.time_s);
+        let seen = seen(&drive.data.poses, simulated.time_s);
         let yaw_rate = match sample.yaw_rate_rad_s.is_nan() {
             false => unbiased / values.get(Parameter::GyroScale),
             true => seen.map_or(f64::NAN, |seen| seen.yaw_rate),

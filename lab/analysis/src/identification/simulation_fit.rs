@@ -20,7 +20,7 @@ use super::{
     model::Model,
     parameter::Parameter,
     settings::NoiseLevels,
-    simulation::{Inputs, Sample},
+    simulation::{Sample, simulated},
 };
 use crate::dual::Dual;
 
@@ -97,15 +97,11 @@ impl Simulated<'_> {
         let (data, start, settings) = (task.data, &task.start, task.settings);
         let model = Model::new(start, start.moved(&settings.parameters, u), settings);
         let [gyro, accelerometer] = of.measures;
-        let inputs = Inputs {
-            drive: task.drive(&of.servo),
-            run: self.run,
-        };
         let mut errors = Vec::with_capacity(3 * data.poses.len());
         let mut push = |output: usize, time: f64, error: D| {
             errors.push(((output, time), error / self.sizes[output]));
         };
-        for simulated in inputs.simulate(&model)? {
+        for simulated in simulated(task.drive(&of.servo), self.run, &model)? {
             let time = simulated.time_s;
             match simulated.sample {
                 Sample::Inertial(track) => {

@@ -9,7 +9,7 @@ use singletrack_figures::figure::{
 };
 
 use super::{
-    super::{EigenvalueRow, RegionRow, SampledRow, TimingArgs, basin::BasinRow},
+    super::{EigenvalueRow, RegionRow, SampledRow, TimingArgs, maps::BasinRow},
     scene::{DEVIATION, Frame, SPEED, Scene, at, band, grid_of},
 };
 
