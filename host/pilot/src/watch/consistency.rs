@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_that_is_no_number_exceeds_both_limits() {
+    fn a_way_that_is_no_number_exceeds_the_limit_of_the_sideslip() {
         let lost = Step {
             rear: f64::NAN * direction(0.7),
             ..slid(0.0)

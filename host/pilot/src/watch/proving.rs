@@ -36,11 +36,13 @@ const SIGN_AFTER: f64 = 0.08;
 const SIZE_AFTER: f64 = 0.17;
 /// The turn by which the steering is proved, rad.
 const PROVED_AFTER: f64 = 0.3;
-/// Turn per turn that the steering should have made.
+/// Turn per turn that the steering should have made, less what a trim explains.
 const STEERING_RATIO: (f64, f64) = (0.65, 1.4);
-/// The ratio once the steering has made [`PROVED_AFTER`]: a wheelbase that is wrong by a quarter shows.
+/// The ratio once the steering has made [`PROVED_AFTER`], and a wave is driven: a wheelbase that is wrong by a quarter shows.
 /// A gain that is wrong by a fifth drives on, and online calibration finds it.
 const PROVED_RATIO: (f64, f64) = (0.757, 1.29);
+/// The largest trim then, rad: about half of a true one is fitted, and a calibrated one is 0.025 rad at most.
+const MOST_TRIM: f64 = 0.03;
 /// Turn of the gyro per turn of the cameras.
 const GYRO_RATIO: (f64, f64) = (0.75, 1.3);
 /// The way after which a wrong yaw of the body shows, m.
@@ -156,7 +158,8 @@ impl Proving {
         if differs || opposite {
             return Some(Reason::GyroDiffers);
         }
-        let (wanted, made) = (self.steering.wanted, self.steering.gain());
+        let wanted = self.steering.wanted;
+        let (made, trim) = self.steering.gain_and_trim();
         if wanted > SIGN_AFTER && made < -0.3 {
             return Some(Reason::SteeringReversed);
         }
@@ -166,7 +169,9 @@ impl Proving {
             return Some(Reason::BodyYawWrong);
         }
         let differs = wanted > SIZE_AFTER && outside(made, STEERING_RATIO);
-        let is_off = wanted > PROVED_AFTER && outside(made, PROVED_RATIO);
+        let is_off = wanted > PROVED_AFTER
+            && self.way >= WAVE_LENGTH
+            && (outside(made, PROVED_RATIO) || outside(trim, (-MOST_TRIM, MOST_TRIM)));
         if differs || is_off {
             return Some(Reason::SteeringDiffers);
         }
@@ -337,6 +342,7 @@ mod tests {
             (0.31, 1.29 * 0.31 + 1e-9, Some(Reason::SteeringDiffers)),
         ] {
             let proving = Proving {
+                way: WAVE_LENGTH,
                 steering: SteeringFit::of(wanted, made),
                 ..Proving::default()
             };

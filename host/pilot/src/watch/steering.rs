@@ -4,8 +4,8 @@ use libm::{copysign, fabs, tan};
 
 use super::{WatchConfig, count, steps::Step};
 
-/// The way of a step in wheelbases (m), negative in reverse: the turn that it makes per tangent of the
-/// steering, rad.
+/// The way of a step in wheelbases, negative in reverse: the turn that it makes per tangent of the
+/// steering, rad; `wheelbase` in m.
 fn wheelbases(step: &Step, wheelbase: f64) -> f64 {
     copysign(step.rear.norm(), step.motor_way) / wheelbase
 }
@@ -59,55 +59,62 @@ impl SteeringWatch {
 /// Steering angles below this prove nothing, rad: trim and backlash.
 const LEAST_STEERING: f64 = 0.04;
 
-/// The turn of the car by its steering, as least squares of every step for a gain and a trim. In a bend
-/// to one side a trim is much like a gain: the wave about the bend tells them apart.
+/// The turn of the car by its steering: turn = (gain tan(steering) + trim) way / wheelbase. Gain and trim
+/// are least squares of the steps, weighted by their way, and of a trim that is known for
+/// [`TRIM_KNOWN`]. In a bend to one side a trim is much like a gain: the wave about the bend tells them
+/// apart, and some of a trim remains in the gain.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SteeringFit {
     /// Turn that angles beyond [`LEAST_STEERING`] should have made, without its signs, rad.
     pub(super) wanted: f64,
-    /// Sums of products of the turn w that the steering should have made, the way x in wheelbases, and
-    /// the turn y that was made.
-    ww: f64,
-    wx: f64,
-    xx: f64,
-    wy: f64,
-    xy: f64,
+    /// Way, in wheelbases; and its integrals of the tangent of the steering and of its square.
+    way: f64,
+    steered: f64,
+    steered_squared: f64,
+    /// Turn as if driven forward, rad; and its integral of the tangent of the steering.
+    turn: f64,
+    steered_turn: f64,
 }
 
-/// What is known of a calibrated trim before the first step, as a sum of x²: a step's turn is off by 4 mrad,
-/// the trim by 12.5 mrad.
-const TRIM_KNOWN: f64 = 0.1;
+/// The way by which a trim of zero is known before the first step, in wheelbases: a calibrated one is within
+/// 0.025 rad, and cameras show as much in half a metre.
+const TRIM_KNOWN: f64 = 2.0;
 
 impl SteeringFit {
-    /// A fit to so much turn to either side, rad.
+    /// A fit to so much turn to either side alike, rad: without a trim.
     #[cfg(test)]
     pub(super) fn of(wanted: f64, made: f64) -> Self {
         Self {
             wanted,
-            ww: wanted * wanted,
-            wy: wanted * made,
+            steered_squared: wanted * wanted,
+            steered_turn: wanted * made,
             ..Self::default()
         }
     }
 
     /// A step of a drive; `wheelbase` in m.
     pub(super) fn step(&mut self, step: &Step, wheelbase: f64) {
-        let x = wheelbases(step, wheelbase);
-        let (w, y) = (x * tan(step.steering), step.turn);
+        let (way, tangent) = (wheelbases(step, wheelbase), tan(step.steering));
+        let turn = copysign(1.0, way) * step.turn;
+        let way = fabs(way);
         if fabs(step.steering) > LEAST_STEERING {
-            self.wanted += fabs(w);
+            self.wanted += way * fabs(tangent);
         }
-        self.ww += w * w;
-        self.wx += w * x;
-        self.xx += x * x;
-        self.wy += w * y;
-        self.xy += x * y;
+        self.way += way;
+        self.steered += way * tangent;
+        self.steered_squared += way * tangent * tangent;
+        self.turn += turn;
+        self.steered_turn += tangent * turn;
     }
 
-    /// The turn that was made per turn that the steering should have made, less what a trim explains.
-    pub(super) fn gain(&self) -> f64 {
-        let trim = self.wx / (self.xx + TRIM_KNOWN);
-        (self.wy - trim * self.xy) / (self.ww - trim * self.wx)
+    /// The turn that was made per turn that the steering should have made, less what a trim explains;
+    /// and the tangent of that trim.
+    pub(super) fn gain_and_trim(&self) -> (f64, f64) {
+        let way = self.way + TRIM_KNOWN;
+        let mean = self.steered / way;
+        let gain =
+            (self.steered_turn - mean * self.turn) / (self.steered_squared - mean * self.steered);
+        (gain, (self.turn - gain * self.steered) / way)
     }
 }
 
@@ -238,7 +245,7 @@ mod tests {
             let fit = fitted([step, step]);
             assert!((fit.wanted - 2.0 * expected).abs() < 1e-12, "{fit:?}");
             assert!(
-                (fit.gain() - sign * 0.01 / expected).abs() < 1e-12,
+                (fit.gain_and_trim().0 - sign * 0.01 / expected).abs() < 1e-12,
                 "{fit:?}"
             );
         }
@@ -258,25 +265,46 @@ mod tests {
 
     #[test]
     fn in_a_bend_to_one_side_a_trim_is_not_taken_for_a_gain() {
-        let bend = |gain: f64, trim: f64| {
-            fitted((0..66).map(|number| {
-                let steering = 0.2 + FirstMetre::wave(0.015 * f64::from(number));
-                Step {
-                    steering,
-                    turn: 0.015 * tan(gain * steering + trim) / WHEELBASE,
-                    ..ahead(0.015)
+        for bend in [-0.3, -0.2, -0.1, 0.1, 0.2, 0.3] {
+            for way in [0.005, 0.015, 0.03] {
+                for (gain, trim) in [(1.0, 0.0), (0.92, -0.025), (1.08, 0.025), (0.74, 0.025)] {
+                    let fit = fitted((0..(1.0 / way) as u32).map(|number| {
+                        let steering = bend + FirstMetre::wave(way * f64::from(number));
+                        Step {
+                            turn: way * (gain * tan(steering) + trim) / WHEELBASE,
+                            steering,
+                            ..ahead(way)
+                        }
+                    }));
+                    assert!(fit.wanted > 0.3, "{fit:?}");
+                    // In each of these bends, less than two thirds of what the trim is to the turn.
+                    let ratio = fabs(trim) / fabs(bend);
+                    let (fitted, explained) = fit.gain_and_trim();
+                    let error = fabs(fitted - gain);
+                    assert!(
+                        error <= 2.0 / 3.0 * ratio + 1e-9,
+                        "{bend} {way} {gain}: {fitted}"
+                    );
+                    assert!(explained * trim >= 0.0 && fabs(explained) <= fabs(trim) + 1e-9);
                 }
-            }))
-        };
-        // Without the fit, a trim of 0.025 rad is a gain that is wrong by 0.12.
-        for (gain, trim) in [(1.0, 0.0), (0.92, -0.025), (1.08, 0.025), (0.74, 0.025)] {
-            let fit = bend(gain, trim);
-            assert!(fit.wanted > 0.3, "{fit:?}");
-            assert!(
-                (fit.gain() - gain).abs() < 0.07,
-                "{gain} {trim}: {}",
-                fit.gain()
-            );
+            }
+        }
+    }
+
+    #[test]
+    fn a_turn_or_an_angle_that_is_no_number_has_no_gain() {
+        for lost in [
+            Step {
+                turn: f64::NAN,
+                ..ahead(0.02)
+            },
+            Step {
+                steering: f64::NAN,
+                ..ahead(0.02)
+            },
+        ] {
+            let (gain, trim) = fitted([lost, steered(0.2)]).gain_and_trim();
+            assert!(gain.is_nan() && trim.is_nan());
         }
     }
 }
