@@ -1,5 +1,5 @@
-//! The drive that the page shows and the requests about it; the replay of a record, bit for bit; and the map of
-//! stability of the car at hand under the front-point law.
+//! The drive that the page shows and the requests about it; the replay of a record, bit for bit; and the map
+//! of stability of the car at hand under the front-point law.
 
 use std::{collections::BTreeMap, error::Error, io::Cursor, path::Path};
 
@@ -200,7 +200,7 @@ fn reply(answer: &impl serde::Serialize) -> Answer {
 }
 
 /// Ticks from one state to the next.
-const EVERY: u64 = 5;
+const TICKS_PER_STATE: u64 = 5;
 
 /// Replays a record and compares all outputs; with its states, to be drawn.
 pub(crate) fn replay(record: Vec<u8>) -> Answer {
@@ -232,7 +232,7 @@ pub(crate) fn replay(record: Vec<u8>) -> Answer {
                 }
                 digest.add(&tick);
                 seen.tick(&tick);
-                if ticks % EVERY == 0 {
+                if ticks % TICKS_PER_STATE == 0 {
                     states.push(seen.state(&tick));
                 }
                 ticks += 1;
@@ -257,9 +257,9 @@ pub(crate) fn replay(record: Vec<u8>) -> Answer {
 }
 
 /// Points of the Hopf curve.
-const SPEEDS: u32 = 100;
+const HOPF_SPEEDS: u32 = 100;
 /// The searched speeds of the sampled loop, in m/s.
-const SEARCHED: [f64; 2] = [0.1, 20.0];
+const SEARCHED_SPEEDS: [f64; 2] = [0.1, 20.0];
 
 /// A steady motion.
 #[derive(Deserialize)]
@@ -295,8 +295,8 @@ fn map(steady: &Steady) -> Result<Value, Box<dyn Error>> {
     let eigenvalues = closed.eigenvalues();
     let eigenvalues: Vec<_> = eigenvalues.iter().map(|it| [it.re, it.im]).collect();
     let mut hopf = Vec::new();
-    for index in 1..=SPEEDS {
-        let speed = steady.largest_speed_m_s * f64::from(index) / f64::from(SPEEDS);
+    for index in 1..=HOPF_SPEEDS {
+        let speed = steady.largest_speed_m_s * f64::from(index) / f64::from(HOPF_SPEEDS);
         let points = hopf_points(vehicle, law, belief, p, speed)?;
         let ends = points.iter().filter(|it| it.ends_stability());
         hopf.extend(ends.map(|it| [it.deviation, speed]));
@@ -323,6 +323,6 @@ fn map(steady: &Steady) -> Result<Value, Box<dyn Error>> {
         "hopf": hopf,
         "meaningful_m": ClosedLoop::meaningful_deviations(&vehicle),
         "critical_speed_m_s": critical_speed(vehicle, p, [deviation; 2])?,
-        "first_unstable_speed_m_s": first_unstable_speed(&sampled, &[deviation], SEARCHED)?,
+        "first_unstable_speed_m_s": first_unstable_speed(&sampled, &[deviation], SEARCHED_SPEEDS)?,
     }))
 }

@@ -379,7 +379,7 @@ impl Meter {
 
     /// Counts a step of the processor, which went from `before` to `after`. A hang does not count as
     /// a critical section.
-    fn pass(&mut self, before: &Status, after: &Status, hangs: bool) {
+    fn pass(&mut self, before: &Status, after: &Status, has_hang: bool) {
         let cycles = after.cycle - before.cycle;
         let response = u64::from(after.response);
         self.cycles += cycles;
@@ -396,7 +396,7 @@ impl Meter {
                 self.interrupts.add(vector, after.cycle - start);
             }
         }
-        if after.interrupts_enabled || hangs || !self.serving.is_empty() {
+        if after.interrupts_enabled || has_hang || !self.serving.is_empty() {
             if let Some(since) = self.disabled_since.take() {
                 let longest = &mut self.longest_critical_section;
                 *longest = (*longest).max(after.cycle - response - since);

@@ -122,7 +122,7 @@ impl Lateral {
     }
 }
 
-/// A lag of first order after `dt` seconds.
+/// What `value` is `dt` (s) after it began to go to `target` with a lag of `lag` (s); without a lag, `target`.
 pub(crate) fn lagged(value: f64, target: f64, lag: f64, dt: f64) -> f64 {
     if lag <= 0.0 {
         return target;

@@ -1,4 +1,5 @@
-//! Times, places and directions; measurements of the car, and the state that is estimated from them.
+//! Times; places and directions in the world frame, with angles wrapped or continuous; measurements of the
+//! car, and the state that is estimated from them.
 
 use core::f64::consts::{PI, TAU};
 

@@ -130,7 +130,7 @@ impl LqiAxis {
     /// integral, the error, and the velocity of P relative to the reference's; the input is the
     /// commanded relative velocity, held over the period.
     pub fn regulator(&self, period: f64) -> QuadraticRegulator<3, 1> {
-        let kept = decay(self.lag, period);
+        let kept = kept_by_lag(self.lag, period);
         // The way that the present velocity makes by itself.
         let coasted = self.lag * (1.0 - kept);
         QuadraticRegulator {
@@ -147,7 +147,7 @@ impl LqiAxis {
 }
 
 /// What of a velocity is left after `period` (s) with a lag of `lag` (s).
-pub(crate) fn decay(lag: f64, period: f64) -> f64 {
+pub(crate) fn kept_by_lag(lag: f64, period: f64) -> f64 {
     if lag > 0.0 { exp(-period / lag) } else { 0.0 }
 }
 
@@ -315,7 +315,7 @@ impl OuterLoop for LqiLoop {
         // The velocity of P at this tick, by what it was given since the last one. On a circle
         // the commands to motor and servo are constant: the lag is in the frame that turns.
         for (index, (axis, setting)) in axes.iter().enumerate() {
-            let kept = decay(setting.lag, input.period);
+            let kept = kept_by_lag(setting.lag, input.period);
             let velocity = kept * last.velocity[index] + (1.0 - kept) * axis.dot(&input.applied);
             if velocity.is_finite() {
                 self.state.velocity[index] = velocity;

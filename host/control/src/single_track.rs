@@ -1,5 +1,5 @@
-//! The single-track model: the parameters of the car, the paper's equations 1 and 2, Newton's equations behind them, and a
-//! model for a car that starts, stops, reverses and slides.
+//! The single-track model: the parameters of the car, the paper's equations 1 and 2, Newton's equations behind
+//! them, and a model for a car that starts, stops, reverses and slides.
 //!
 //! Newton's equations have tyre forces that may saturate. With linear tyres, small angles and a
 //! car that moves forward they are equation 1 itself, which [`SingleTrack`]

@@ -48,7 +48,7 @@ struct Kept {
 ///
 /// # Errors
 ///
-/// As [`configuration_hash`].
+/// The errors of [`configuration_hash`].
 pub(crate) fn subject(config: &Config) -> Result<Subject, ConfigError> {
     Ok(Subject {
         configuration: configuration_hash(config)?,

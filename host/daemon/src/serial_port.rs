@@ -187,7 +187,7 @@ impl Port for Device {
     }
 }
 
-/// Runs until `stop` is raised. Returns the counters.
+/// Reads in a thread of its own until `stop` is raised. Returns the counters.
 pub(crate) fn run(
     mut reader: SerialReader<WriteHalf>,
     config: SerialSection,

@@ -1,7 +1,7 @@
 //! The JSON files in `state.directory`; one is the state file: what the daemon remembers from one start
 //! to the next.
 //!
-//! It holds the configurations that a car has proved on its first metre. Without the file, or
+//! The state file holds the configurations that a car has proved on its first metre. Without the file, or
 //! with one that can't be read, nothing is proved, and the next drive begins slowly: the file
 //! only saves time.
 

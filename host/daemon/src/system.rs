@@ -1,4 +1,4 @@
-//! System calls that neither the standard library nor rustix offers safely; among them the signals that
+//! System calls that neither the standard library nor rustix offers safely; and the wait for the signals that
 //! end the daemon or reload its configuration.
 
 #![expect(unsafe_code, reason = "calls of the C library, each with its reason")]

@@ -1,4 +1,4 @@
-//! The daemon's threads, and the flag that ends them while they wait for files. None may end before it
+//! The daemon's threads, and the flag that ends them while they wait for files. No thread may end before it
 //! is asked to: a drive without its reader, its cameras or its control socket must not go on.
 
 use std::{

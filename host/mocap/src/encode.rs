@@ -314,7 +314,7 @@ pub fn frame(version: BitstreamVersion, content: &FrameContent<'_>, out: &mut [u
     writer.finish(MessageId::Frame)
 }
 
-/// Writes a message. [`finish`](Self::finish) returns the first error; nothing is written after it.
+/// Writes a message, little-endian, at most to the end of `out`. [`finish`](Self::finish) returns the first error; nothing is written after it.
 struct Writer<'a> {
     out: &'a mut [u8],
     len: usize,
@@ -407,7 +407,7 @@ impl<'a> Writer<'a> {
         self.u8(0, field);
     }
 
-    /// The name of a sender, padded with zeros, NUL included.
+    /// A name of a sender in a field of [`SENDER_NAME_LEN`] bytes, padded with zeros, NUL included.
     fn padded_name(&mut self, name: &str, field: &'static str) {
         let (len, max) = (name.len(), SENDER_NAME_LEN - 1);
         if name.contains('\0') {

@@ -1,8 +1,8 @@
 //! Takes set-points and passes them on to the daemon; and the services `arm`, `disarm` and `stop`, with
 //! the drive that a node of ROS has armed, held by a connection of this process.
 //!
-//! The daemon's dead-man switch is this connection. The controller behind it is watched by the
-//! age of its set-points: a drive can only be armed while set-points are passed on, and the
+//! The daemon's dead-man switch is the connection that holds the drive, not that of the set-points. The
+//! controller behind it is watched by the age of its set-points: a drive can only be armed while set-points are passed on, and the
 //! daemon stops the car when they end.
 
 use std::{

@@ -1,5 +1,5 @@
 //! The node: its name, its qualities of service, the threads on which it works, and its sockets, which are
-//! closed to other computers.
+//! closed to other computers unless `--interface` is given.
 //!
 //! The library's sockets take datagrams on every interface, whatever it announces. A filter in
 //! the kernel drops those that do not come from this computer.

@@ -15,7 +15,7 @@ use crate::{
 
 /// The topics of the record, each with its type. The node's has the same name, with `_` within it; there is
 /// one log for all nodes.
-pub(crate) const TOPICS: [(&str, (&str, &str)); 9] = [
+const TOPICS: [(&str, (&str, &str)); 9] = [
     ("/odom", ("nav_msgs", "Odometry")),
     ("/tf", ("tf2_msgs", "TFMessage")),
     ("/imu", ("sensor_msgs", "Imu")),

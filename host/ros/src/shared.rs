@@ -1,5 +1,5 @@
-//! What the threads share: the options, the car by the configuration in force, what is passed on and what
-//! is not, and the drive that is held.
+//! What the threads share: the options, the car by the configuration in force with its description (URDF),
+//! what is passed on and what is not, and the drive that is held.
 
 use core::f64::consts::FRAC_PI_2;
 use std::{
@@ -47,7 +47,7 @@ pub(crate) struct Arguments {
     /// The largest age of a set-point by its stamp, in ms
     #[arg(long, value_name = "MS", default_value_t = 100,
           value_parser = clap::value_parser!(u64).range(1..=1_000))]
-    pub(crate) max_age_ms: u64,
+    max_age_ms: u64,
     #[command(flatten)]
     pub(crate) frames: Frames,
     /// Publish only: take no set-points and offer no services

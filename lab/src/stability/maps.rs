@@ -1,6 +1,6 @@
 //! The steady motion over speed and dl: where it is stable, and its eigenvalues; the Hopf curve, where
-//! stability ends, speed by speed, and the limit cycles born there; its basin as simulation finds it, and
-//! regions of attraction with proofs.
+//! stability ends, speed by speed, and the limit cycles born there; the basin of the straight motion as
+//! simulation finds it, and regions of attraction with proofs.
 
 use std::{fs, path::PathBuf, time::Instant};
 

@@ -427,7 +427,7 @@ impl Car<'_> {
     ///
     /// The ESC is driven in bursts until the first pulses come: after 0.6 s of driving without a
     /// pulse the board assumes a dead sensor.
-    pub(super) fn spin_from(&mut self, from_us: u16, wanted: f64) -> Result<Option<Jog>, Trouble> {
+    fn spin_from(&mut self, from_us: u16, wanted: f64) -> Result<Option<Jog>, Trouble> {
         let Some(mut jog) = self.first_turn(true, from_us)? else {
             return Ok(None);
         };
@@ -486,11 +486,7 @@ impl Car<'_> {
 
     /// Drives in bursts of 0.5 s, each 8 us farther from neutral, until the wheels turn; gives
     /// that pulse, which is still held.
-    pub(super) fn first_turn(
-        &mut self,
-        forward: bool,
-        from_us: u16,
-    ) -> Result<Option<Jog>, Trouble> {
+    fn first_turn(&mut self, forward: bool, from_us: u16) -> Result<Option<Jog>, Trouble> {
         let rest = self.rest();
         let mut offset_us = from_us.min(JOG_LIMIT_US);
         loop {
@@ -582,7 +578,7 @@ pub(super) fn way(readings: &[BoardReading]) -> f64 {
 }
 
 /// The trouble of a motor that gave no pulse as far from neutral as the board allows.
-pub(super) fn never_turned() -> Trouble {
+fn never_turned() -> Trouble {
     let found = format!("no motor pulse up to {JOG_LIMIT_US} us beyond neutral");
     let fix = "Is the ESC on and started, with its battery charged? Are servo (D9) and ESC (D10) \
                swapped? Does the pulse sensor count when the wheels are turned by hand \

@@ -11,7 +11,7 @@ use nalgebra::{RowSVector, SMatrix, SVector};
 
 use crate::{
     ConvexArea, Position, Velocity,
-    outer_loop::decay,
+    outer_loop::kept_by_lag,
     riccati::{QuadraticRegulator, RiccatiError, product, symmetric},
 };
 
@@ -30,7 +30,7 @@ impl Lag {
     pub(super) fn new(time_constant: f64, step: f64) -> Self {
         Self {
             time_constant,
-            kept: decay(time_constant, step),
+            kept: kept_by_lag(time_constant, step),
             step,
         }
     }

@@ -106,7 +106,7 @@ pub struct SafetyInput<'a> {
     pub neighbours: &'a [Side],
 }
 
-/// States of a car that goes forward, by the worst of each.
+/// States of a car that goes forward, by the worst of each, whose stops a certificate of the filter bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopBox {
     /// The largest of the estimated, measured and commanded speeds, with its error, m/s.

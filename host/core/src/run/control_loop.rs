@@ -445,6 +445,7 @@ impl<L: Line> ControlLoop<L> {
         if matches!(self.ending, Ending::Running | Ending::Finishing { .. }) {
             self.arm_when_ready = false;
             self.request(PilotRequest::Disarm);
+            // Without slowing down first: the next tick writes it.
             self.controller.session.disarm(now_ns);
             self.ending = Ending::Aborting {
                 until_ns: now_ns.saturating_add(ABORT_NS),

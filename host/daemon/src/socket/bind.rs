@@ -1,5 +1,5 @@
-//! Creates the file of the control socket and listens on it; and on TCP, where connections begin with a
-//! token.
+//! Creates the file of the control socket and listens on it and on TCP; and the gate of the TCP port, which
+//! lets connections through that begin with the token.
 
 use std::{
     fs, io,

@@ -1,4 +1,4 @@
-//! The session of one client with one server, and what it does by itself, and when.
+//! The session of one client with one server: its state, and what it sends by itself and when.
 //!
 //! How a session reaches a server and what it makes of datagrams is in [`receive`].
 

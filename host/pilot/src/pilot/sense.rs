@@ -77,6 +77,7 @@ impl Pilot {
     }
 
     fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
+        // Before the estimator judges it: poses that are refused count too.
         self.watches.frozen.pose(pose, &self.config.watch);
         let verdict = self.estimator.handle_pose(pose);
         if verdict == PoseVerdict::Accepted {

@@ -1,5 +1,5 @@
-//! The modes, the limits and what is given at a tick; the latest state of board, line, computer and
-//! cameras, and the checks that refuse or end a drive.
+//! The modes, the limits, what is given at a tick and what is asked of the board; the latest state of board,
+//! line, computer and cameras, and the checks that refuse or end a drive.
 //!
 //! Every check returns the first reason against a drive, `None` if there is none. The
 //! order of the checks decides which of several reasons status, log and record show.

@@ -1,6 +1,7 @@
 //! The messages of a record. Each is declared once: the type that is encoded, the
 //! `ros2msg` schema in the file, the fields that are printed and the conversion from
-//! and to the record's own types all follow from that declaration.
+//! and to the record's own types all follow from that declaration, whose macros stand here. The encoding is
+//! plain CDR, as in ROS 2.
 //!
 //! The documentation of a field is its comment in the schema. A value that may be
 //! absent takes two fields there, `bool has_x` and `x`, because ROS messages have no

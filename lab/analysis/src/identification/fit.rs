@@ -37,7 +37,7 @@ pub(super) struct Spread {
     /// Covariance for white prediction errors: the inverse of the information matrix.
     pub(super) white: DMatrix<f64>,
     /// Covariance for errors that are correlated within [`BLOCK`].
-    pub(super) robust: DMatrix<f64>,
+    robust: DMatrix<f64>,
     /// Standard deviation of each parameter by the wider of the two.
     pub(super) deviations: Vec<f64>,
 }

@@ -376,9 +376,11 @@ pub fn cramer_rao(
 /// The stretches that can be used, if they are long enough.
 fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>> {
     data.validate()?;
-    match median(data.speeds().collect()) {
-        Some(median) if median > FASTEST => return Err(IdentificationError::TooFast(median)),
-        _ => {}
+    // Positions in another unit than m.
+    if let Some(median) = median(data.speeds().collect())
+        && median > FASTEST
+    {
+        return Err(IdentificationError::TooFast(median));
     }
     let least_speed = settings.least_speed.max(1.5 * model::LEAST_SPEED);
     let stretches = data.stretches(least_speed);
@@ -450,7 +452,7 @@ fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<()> {
         let target = data.servo.get(after.checked_sub(1)?)?;
         Some([target.angle_rad, seen.yaw_rate / seen.speed])
     });
-    let correlation = correlation(&pairs.collect::<Vec<_>>());
+    let correlation = correlation_of_pairs(&pairs.collect::<Vec<_>>());
     if correlation < OPPOSES {
         return Err(IdentificationError::SteeringOpposes(correlation));
     }
@@ -458,7 +460,7 @@ fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<()> {
 }
 
 /// The correlation of pairs of numbers; 0 if one of them does not change.
-fn correlation(pairs: &[[f64; 2]]) -> f64 {
+fn correlation_of_pairs(pairs: &[[f64; 2]]) -> f64 {
     let count = pairs.len() as f64;
     let mean = |index: usize| pairs.iter().map(|pair| pair[index]).sum::<f64>() / count;
     let (one, other) = (mean(0), mean(1));

@@ -1,21 +1,5 @@
 //! Hopf bifurcations over dl, where the steady motion loses its stability, and the speeds and distances `p`
-//! without one. When `p` alone makes a car stable, it is at every speed, wherever between the axles the law
-//! believes the centre of mass.
-//!
-//! With `x = l_f + dl` from 0 to L, `D = C_f l_f² + C_r l_r²`, `δ = (C_f + C_r)/m + D/I_z` and
-//! `κ = C_f C_r L / (m I_z)`, the last but one of Hurwitz' determinants is, up to a positive factor,
-//!
-//! ```text
-//! (l_r + x + p) (g + C_f e_f x + C_r e_r p) - I_z δ² p
-//! with e_f = (l_f C_f - l_r C_r)/m + l_f D/I_z
-//!      e_r = (l_r C_r - l_f C_f)/m + l_r D/I_z + δ C_f L²/(m v²)
-//!      g   = C_f/m (I_z (C_f + C_r)/m + l_f (l_f C_f - l_r C_r))
-//! ```
-//!
-//! and the other conditions of Liénard and Chipart hold. With `e_f ≥ 0` the determinant rises with x
-//! wherever it is not negative, and `x = 0` decides; else it is concave in x, and both ends decide. At an
-//! end it is a quadratic in p. `docs/theorems.md` has the proof, and `lab/certificates/check_one_length.py`
-//! checks the identity in exact arithmetic.
+//! without one.
 
 use nalgebra::Complex;
 use singletrack_control::{VehicleParameters, words};
@@ -243,7 +227,23 @@ fn largest_other(polynomial: &CharacteristicPolynomial, squared: f64) -> f64 {
     }
 }
 
-/// The distances p with which a car is stable under the [`Law::FrontPoint`] for all meaningful dl.
+/// The distances p with which a car is stable under the [`Law::FrontPoint`] for all meaningful dl: at every
+/// speed, wherever between the axles the law believes the centre of mass.
+///
+/// With `x = l_f + dl` from 0 to L, `D = C_f l_f² + C_r l_r²`, `δ = (C_f + C_r)/m + D/I_z` and
+/// `κ = C_f C_r L / (m I_z)`, the last but one of Hurwitz' determinants is, up to a positive factor,
+///
+/// ```text
+/// (l_r + x + p) (g + C_f e_f x + C_r e_r p) - I_z δ² p
+/// with e_f = (l_f C_f - l_r C_r)/m + l_f D/I_z
+///      e_r = (l_r C_r - l_f C_f)/m + l_r D/I_z + δ C_f L²/(m v²)
+///      g   = C_f/m (I_z (C_f + C_r)/m + l_f (l_f C_f - l_r C_r))
+/// ```
+///
+/// and the other conditions of Liénard and Chipart hold. With `e_f ≥ 0` the determinant rises with x
+/// wherever it is not negative, and `x = 0` decides; else it is concave in x, and both ends decide. At an
+/// end it is a quadratic in p. `docs/theorems.md` has the proof, and `lab/certificates/check_one_length.py`
+/// checks the identity in exact arithmetic.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OneLength {
     /// `e_f`, in m²/(s² rad): if it is not negative, the front axle (dl = -`l_f`) decides.

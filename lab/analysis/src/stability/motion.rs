@@ -160,13 +160,13 @@ enum Outcome {
 
 /// The time after which a motion that has not decayed swings on, and after which its amplitude is
 /// taken, in s.
-const LONGEST: f64 = 30.0;
-const SETTLED: f64 = 20.0;
+const BASIN_LONGEST: f64 = 30.0;
+const BASIN_SETTLED: f64 = 20.0;
 /// A motion whose states are as small as this, in rad and rad/s, decays.
-const SMALL: f64 = 1e-3;
+const BASIN_SMALL: f64 = 1e-3;
 /// Steps of the search over yaw, and halvings of the one that has the edge.
-const STEPS: u32 = 180;
-const HALVINGS: u32 = 12;
+const BASIN_STEPS: u32 = 180;
+const BASIN_HALVINGS: u32 = 12;
 
 impl ClosedLoop {
     /// The basin of the straight motion over the yaw error, with wheels that follow at once or,
@@ -199,15 +199,15 @@ impl ClosedLoop {
 
 fn search<const N: usize>(field: &impl VectorField<N>) -> Basin {
     let is_regained = |yaw: f64| matches!(outcome(field, yaw), Outcome::Regained);
-    let step = core::f64::consts::PI / f64::from(STEPS);
-    let Some(first) = (1..=STEPS).find(|steps| !is_regained(step * f64::from(*steps))) else {
+    let step = core::f64::consts::PI / f64::from(BASIN_STEPS);
+    let Some(first) = (1..=BASIN_STEPS).find(|steps| !is_regained(step * f64::from(*steps))) else {
         return Basin {
             yaw: core::f64::consts::PI,
             beyond: None,
         };
     };
     let [mut inside, mut outside] = [first - 1, first].map(|steps| step * f64::from(steps));
-    for _ in 0..HALVINGS {
+    for _ in 0..BASIN_HALVINGS {
         let middle = 0.5 * (inside + outside);
         if is_regained(middle) {
             inside = middle;
@@ -228,13 +228,13 @@ fn outcome<const N: usize>(field: &impl VectorField<N>, yaw: f64) -> Outcome {
     let mut start = [0.0; N];
     start[0] = yaw;
     let mut motion = Motion::new(field, start, field.closed_loop().deviation);
-    for end in [SETTLED, LONGEST] {
+    for end in [BASIN_SETTLED, BASIN_LONGEST] {
         motion.amplitude = 0.0;
         while motion.time < end {
             if motion.step(end).is_err() {
                 return Outcome::Singular;
             }
-            if motion.state.iter().all(|x| x.abs() < SMALL) {
+            if motion.state.iter().all(|x| x.abs() < BASIN_SMALL) {
                 return Outcome::Regained;
             }
         }

@@ -34,7 +34,7 @@ const POLL: Duration = Duration::from_millis(50);
 pub(super) fn real_time(demo: &Demo<'_>) -> Result<Drive> {
     let args = demo.args;
     let private = private()?;
-    let simulation = settings::simulation(args)?;
+    let simulation = settings::write_simulation(args)?;
     let config = settings::daemon(args)?;
     let front_axle_distance_m = config.vehicle.front_axle_distance_m;
     let simulator = settings::simulator(simulation, None, private.path())?;
@@ -195,7 +195,7 @@ pub(super) fn stop(daemons: &[&Daemon]) -> Result<()> {
 /// Drives in virtual time, and returns how it went.
 pub(super) fn virtual_time(demo: &Demo<'_>) -> Result<Drive> {
     let args = demo.args;
-    let simulation = settings::simulation(args)?;
+    let simulation = settings::write_simulation(args)?;
     let config = settings::daemon(args)?;
     write_configuration(args, DEMO, &config)?;
     let front_axle_distance_m = config.vehicle.front_axle_distance_m;

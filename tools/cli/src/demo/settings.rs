@@ -62,8 +62,8 @@ impl Car {
     }
 }
 
-/// The simulated world, and writes it into the folder.
-pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig> {
+/// Writes the simulated world into the folder, and returns it.
+pub(super) fn write_simulation(args: &DemoArgs) -> Result<SimulationConfig> {
     let mut config = SimulationConfig {
         seed: args.seed,
         ..SimulationConfig::default()

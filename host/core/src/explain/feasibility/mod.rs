@@ -162,7 +162,7 @@ pub fn judge(config: &Config, stand: Option<Stand>) -> Result<Judgement, ConfigE
 ///
 /// # Errors
 ///
-/// As for [`judge`].
+/// The errors of [`judge`].
 pub fn judge_reference(
     config: &Config,
     stand: Option<Stand>,

@@ -1,5 +1,5 @@
 //! Values that should be looked at by themselves: those of the example file, and those that no sane car
-//! has. Each is within the range of its key: a bench may need it.
+//! has. The latter are within the range of their keys: a bench may need them.
 
 use singletrack_control::{GRAVITY, VehicleParameters};
 use singletrack_settings::Section;

@@ -417,7 +417,7 @@ pub fn first_unstable_speed(
 ) -> Result<Option<f64>, StabilityError> {
     boundary(from, to, |speed| {
         let at = sampled.closed_loop.with_speed(speed)?;
-        is_stable_with(sampled, at, deviations)
+        is_stable_at_all(sampled, at, deviations)
     })
 }
 
@@ -435,7 +435,7 @@ pub fn least_point_distance(
 ) -> Result<Option<f64>, StabilityError> {
     let is_stable = |p: f64| {
         let at = sampled.closed_loop.with_point_distance(p)?;
-        is_stable_with(sampled, at, deviations)
+        is_stable_at_all(sampled, at, deviations)
     };
     if !is_stable(to)? {
         return Ok(None);
@@ -444,7 +444,8 @@ pub fn least_point_distance(
     Ok(Some(boundary(to, from, is_stable)?.unwrap_or(from)))
 }
 
-fn is_stable_with(
+/// Whether the motion is stable with each of these deviations.
+fn is_stable_at_all(
     sampled: &SampledLoop,
     at: ClosedLoop,
     deviations: &[f64],

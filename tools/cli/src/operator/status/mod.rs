@@ -224,8 +224,7 @@ impl Summary {
             self.link(),
             self.speed(),
         );
-        let names = ["tuned", "calibration", "learned"];
-        for (name, text) in names.into_iter().zip(self.more()) {
+        for (name, text) in self.more("calibration") {
             if let Some(text) = text {
                 line += &format!("; {name}: {text}");
             }
@@ -264,8 +263,7 @@ impl Summary {
         let telemetry = format!("telemetry {}", age(self.value(|state| state.board_age_s)));
         lines.push(field("link", self.link(), &telemetry));
         lines.push(field("battery", &self.battery(), ""));
-        let names = ["tuned", "advice", "learned"];
-        for (name, text) in names.into_iter().zip(self.more()) {
+        for (name, text) in self.more("advice") {
             if let Some(text) = text {
                 lines.extend(paragraph(columns, name, &text));
             }
@@ -273,11 +271,16 @@ impl Summary {
         lines
     }
 
-    /// Tuned values, what the drives say of the calibration, and what live calibration corrects.
-    fn more(&self) -> [Option<String>; 3] {
+    /// Tuned values, what the drives say of the calibration, and what live calibration corrects, each with
+    /// its name; `drives` is that of the second.
+    fn more(&self, drives: &'static str) -> [(&'static str, Option<String>); 3] {
         let calibration = self.0.calibration.as_ref();
         let advice = calibration.and_then(Calibration::line);
-        [self.tuned(), advice, self.learned()]
+        [
+            ("tuned", self.tuned()),
+            (drives, advice),
+            ("learned", self.learned()),
+        ]
     }
 
     /// Tuned values that differ from the configuration, and those of the configuration.

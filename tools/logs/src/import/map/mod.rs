@@ -457,7 +457,7 @@ pub struct SteeringSection {
 }
 
 impl SteeringSection {
-    pub(super) fn check(&self) -> Result<(), String> {
+    fn check(&self) -> Result<(), String> {
         check_delay("steering.delay_s", self.delay_s)?;
         match (&self.table, self.radians_per_unit) {
             (None, None) => {
@@ -519,8 +519,8 @@ fn check_table(table: &[[f64; 2]]) -> Result<(), String> {
 pub(in crate::import) struct Messages<'a> {
     /// The section, such as `pose`.
     pub(in crate::import) section: &'static str,
-    pub(super) topic: Option<&'a str>,
-    pub(super) stamp: Option<&'a str>,
+    topic: Option<&'a str>,
+    stamp: Option<&'a str>,
 }
 
 impl<'a> Messages<'a> {
@@ -535,7 +535,7 @@ impl<'a> Messages<'a> {
         (field != "receive").then_some(field)
     }
 
-    pub(super) fn check(self, is_bag: bool) -> Result<(), String> {
+    fn check(self, is_bag: bool) -> Result<(), String> {
         let [topic_key, stamp_key] =
             ["topic", "stamp"].map(|key| format!("{}.{key}", self.section));
         let csv = "remove it: a CSV file has no topics";
