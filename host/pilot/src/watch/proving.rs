@@ -36,12 +36,16 @@ const SIGN_AFTER: f64 = 0.08;
 const SIZE_AFTER: f64 = 0.17;
 /// The turn by which the steering is proved, rad.
 const PROVED_AFTER: f64 = 0.3;
-/// Turn per turn that the steering should have made, less what a trim explains.
+/// Turn per turn that the steering should have made.
 const STEERING_RATIO: (f64, f64) = (0.65, 1.4);
-/// The ratio once the steering has made [`PROVED_AFTER`], and a wave is driven: a wheelbase that is wrong by a quarter shows.
-/// A gain that is wrong by a fifth drives on, and online calibration finds it.
-const PROVED_RATIO: (f64, f64) = (0.757, 1.29);
-/// The largest trim then, rad: about half of a true one is fitted, and a calibrated one is 0.025 rad at most.
+/// The ratio once the steering has made [`PROVED_AFTER`]: in a bend, the trim of a calibrated car takes a
+/// seventh of it.
+const PROVED_RATIO: (f64, f64) = (0.68, 1.29);
+/// The ratio less what a trim explains, once a wave is driven as well: a wheelbase that is wrong by a quarter
+/// shows. A gain that is wrong by a fifth drives on, and online calibration finds it.
+const PROVED_GAIN: (f64, f64) = (0.757, 1.29);
+/// The largest trim then, as a tangent: on a straight about half of a true one is fitted, in a bend less, and
+/// a calibrated one is 0.025 at most.
 const MOST_TRIM: f64 = 0.03;
 /// Turn of the gyro per turn of the cameras.
 const GYRO_RATIO: (f64, f64) = (0.75, 1.3);
@@ -158,9 +162,8 @@ impl Proving {
         if differs || opposite {
             return Some(Reason::GyroDiffers);
         }
-        let wanted = self.steering.wanted;
-        let (made, trim) = self.steering.gain_and_trim();
-        if wanted > SIGN_AFTER && made < -0.3 {
+        let SteeringFit { wanted, made, .. } = self.steering;
+        if wanted > SIGN_AFTER && made < -0.3 * wanted {
             return Some(Reason::SteeringReversed);
         }
         let way = fabs(self.along) + fabs(self.across);
@@ -168,10 +171,13 @@ impl Proving {
         if (way > YAW_AFTER && angle > YAW_ERROR) || (way > CROSSWISE_AFTER && angle > 1.0) {
             return Some(Reason::BodyYawWrong);
         }
-        let differs = wanted > SIZE_AFTER && outside(made, STEERING_RATIO);
+        let differs = wanted > SIZE_AFTER && outside(made / wanted, STEERING_RATIO);
+        let (gain, trim) = self.steering.gain_and_trim();
+        let is_fitted = self.way >= WAVE_LENGTH;
         let is_off = wanted > PROVED_AFTER
-            && self.way >= WAVE_LENGTH
-            && (outside(made, PROVED_RATIO) || outside(trim, (-MOST_TRIM, MOST_TRIM)));
+            && (outside(made / wanted, PROVED_RATIO)
+                || is_fitted && outside(gain, PROVED_GAIN)
+                || is_fitted && outside(trim, (-MOST_TRIM, MOST_TRIM)));
         if differs || is_off {
             return Some(Reason::SteeringDiffers);
         }
@@ -235,6 +241,8 @@ impl Proving {
 #[cfg(test)]
 mod tests {
     use core::f64::consts::FRAC_1_SQRT_2;
+
+    use libm::tan;
 
     use singletrack_control::Velocity;
 
@@ -347,6 +355,43 @@ mod tests {
                 ..Proving::default()
             };
             assert_eq!(proving.contradiction(PULSE), expected, "{wanted} {made}");
+        }
+    }
+
+    #[test]
+    fn a_trim_that_is_far_off_is_found_once_a_wave_is_driven() {
+        for bend in [-0.2, 0.0, 0.2] {
+            for (trim, found) in [
+                (0.0, false),
+                (0.025, false),
+                (-0.025, false),
+                (0.09, true),
+                (-0.09, true),
+            ] {
+                let run = |way: f64| {
+                    let mut proving = Proving {
+                        way,
+                        ..Proving::default()
+                    };
+                    for number in 0..60 {
+                        let steering = bend + FirstMetre::wave(0.015 * f64::from(number));
+                        let turn = 0.015 * (tan(steering) + trim) / 0.25;
+                        let step = Step {
+                            steering,
+                            turn,
+                            gyro_turn: turn,
+                            ..motion(0.015, 0.0)
+                        };
+                        proving.step(&step, 0.25, PULSE);
+                    }
+                    proving.found
+                };
+                let expected = found.then_some(Reason::SteeringDiffers);
+                assert_eq!(run(WAVE_LENGTH), expected, "{bend} {trim}");
+                // In a bend the plain ratio shows it before.
+                let before = expected.filter(|_| bend != 0.0);
+                assert_eq!(run(0.49), before, "{bend} {trim}");
+            }
         }
     }
 

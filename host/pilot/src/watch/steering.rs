@@ -62,11 +62,14 @@ const LEAST_STEERING: f64 = 0.04;
 /// The turn of the car by its steering: turn = (gain tan(steering) + trim) way / wheelbase. Gain and trim
 /// are least squares of the steps, weighted by their way, and of a trim that is known for
 /// [`TRIM_KNOWN`]. In a bend to one side a trim is much like a gain: the wave about the bend tells them
-/// apart, and some of a trim remains in the gain.
+/// apart, the less the steeper the bend. What is left of a trim stays in the gain, and a large one shows in
+/// the plain ratio of `made` to `wanted`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SteeringFit {
-    /// Turn that angles beyond [`LEAST_STEERING`] should have made, without its signs, rad.
+    /// Turn that angles beyond [`LEAST_STEERING`] should have made, without its signs, and that made with
+    /// it, rad.
     pub(super) wanted: f64,
+    pub(super) made: f64,
     /// Way, in wheelbases; and its integrals of the tangent of the steering and of its square.
     way: f64,
     steered: f64,
@@ -86,6 +89,7 @@ impl SteeringFit {
     pub(super) fn of(wanted: f64, made: f64) -> Self {
         Self {
             wanted,
+            made,
             steered_squared: wanted * wanted,
             steered_turn: wanted * made,
             ..Self::default()
@@ -99,6 +103,7 @@ impl SteeringFit {
         let way = fabs(way);
         if fabs(step.steering) > LEAST_STEERING {
             self.wanted += way * fabs(tangent);
+            self.made += copysign(1.0, tangent) * turn;
         }
         self.way += way;
         self.steered += way * tangent;
@@ -244,6 +249,7 @@ mod tests {
             };
             let fit = fitted([step, step]);
             assert!((fit.wanted - 2.0 * expected).abs() < 1e-12, "{fit:?}");
+            assert!((fit.made - 0.02 * sign).abs() < 1e-12, "{fit:?}");
             assert!(
                 (fit.gain_and_trim().0 - sign * 0.01 / expected).abs() < 1e-12,
                 "{fit:?}"
