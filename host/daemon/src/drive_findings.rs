@@ -185,7 +185,7 @@ mod tests {
         drives.begin(2, &config);
         assert_eq!(drives.in_force, Some(Learned::default()));
         drives.in_force = Some(Learned::MOST);
-        // The same drive slows down.
+        // That drive slows down.
         drives.begin(2, &config);
         assert_eq!(drives.in_force, Some(Learned::MOST));
         drives.end();

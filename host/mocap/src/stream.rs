@@ -336,7 +336,7 @@ impl<D: Dialogue> StreamSession<D> {
         match broken {
             Broken::NoMessage => link.restart(RestartReason::StreamBroken, wake),
             Broken::Foreign => {
-                // The same answer again is reported once.
+                // An answer that comes again is reported once.
                 if !matches!(link.common.phase, Phase::Foreign) {
                     link.common.phase = Phase::Foreign;
                     wake.tell(SessionEvent::Foreign);

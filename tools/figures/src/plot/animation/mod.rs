@@ -330,7 +330,7 @@ const WIDTH_PX: f64 = 800.0;
 const HEIGHT_PX: f64 = 560.0;
 /// The narrowest that holds its legend, in pixels.
 const LEAST_WIDTH_PX: f64 = 420.0;
-/// A geofence wider than so many times what was driven is not shown whole.
+/// A geofence is shown whole up to this multiple of the size of the drive.
 const FENCE_RATIO: f64 = 2.0;
 
 impl View {
